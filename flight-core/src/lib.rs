@@ -1,1 +1,51 @@
+//! Everything of Kestrel that flies and touches no hardware.
+//!
+//! The same code runs on the board inside RTIC tasks, under QEMU, and on the host where `sim-host` plays
+//! the world. It reads no clock, allocates nothing, and every number in it is an `f32`, evaluated in one
+//! fixed order, so that the three give the same bits.
+//!
+//! # The chain
+//! The modules stand in the order of the data:
+//!
+//! ```text
+//!  Input ──► sample ──► calibration ──► prefilter ──► estimator ──► control ──► mixer ──► esc ──► Output
+//!  counts               SI, body axes   30 Hz         attitude      torques     Ω²        µs      + permit
+//!               rc ─────────────────────────────────────┴──► arming ──► MotorPermit ───────────────┘
+//! ```
+//!
+//! [`FlightController::step`] joins them, and is the only thing that the firmware and the simulator call.
+//!
+//! # Conventions
+//! World north-east-down, body forward-right-down. Quaternions are Hamilton, scalar first, body to world.
+//! Euler angles are yaw, pitch, roll (ZYX). The accelerometer measures specific force: level and at rest it
+//! reads (0, 0, −9.80665) m/s². SI units and radians inside; any other unit stands in the name.
 #![no_std]
+#![deny(unsafe_code)]
+#![warn(missing_docs)]
+
+#[cfg(test)]
+extern crate std;
+
+#[allow(unsafe_code)] // one instruction of inline assembly: the core's own square root
+pub mod arithmetic;
+pub mod arming;
+pub mod calibration;
+pub mod config;
+pub mod control;
+pub mod esc;
+pub mod estimator;
+pub mod flight_controller;
+pub mod geometry;
+pub mod mixer;
+pub mod prefilter;
+pub mod rc;
+pub mod sample;
+
+pub use arming::{ArmState, MotorPermit};
+pub use calibration::Calibration;
+pub use config::{Config, ConfigError, Params};
+pub use flight_controller::FlightController;
+pub use sample::{Input, Output};
+
+/// Standard gravity, m/s² (CGPM 1901).
+pub const STANDARD_GRAVITY: f32 = 9.80665;

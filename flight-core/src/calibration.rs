@@ -1,0 +1,156 @@
+//! From converter counts to SI in body axes.
+//!
+//! Each sensor's reading is `x = M (S · counts − b)`: S the chip's sensitivity and mounting, b the bias and
+//! M the matrix of scale and misalignment that a calibration found. The two are folded into one matrix and
+//! one offset when the configuration is taken, so that a sample costs nine products and nine sums.
+
+use crate::config::{ConfigError, check};
+use crate::geometry::{Mat3, Vec3, vec3};
+
+/// What a calibration found about one three-axis sensor.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SensorCalibration {
+    /// Reading at zero input, in the sensor's SI unit (magnetometer: µT), body axes. Subtracted first.
+    pub bias: Vec3<f32>,
+    /// Scale and misalignment, dimensionless, near the unit matrix. Applied second.
+    pub matrix: Mat3<f32>,
+}
+
+impl SensorCalibration {
+    /// A perfect sensor.
+    pub const NONE: Self = Self { bias: Vec3::ZERO, matrix: Mat3::IDENTITY };
+}
+
+/// What a calibration found about all sensors.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Calibration {
+    /// Gyroscope, rad/s.
+    pub gyro: SensorCalibration,
+    /// Accelerometer, m/s².
+    pub accel: SensorCalibration,
+    /// Magnetometer, µT.
+    pub mag: SensorCalibration,
+}
+
+impl Calibration {
+    /// Perfect sensors.
+    pub const NONE: Self =
+        Self { gyro: SensorCalibration::NONE, accel: SensorCalibration::NONE, mag: SensorCalibration::NONE };
+}
+
+/// How a chip's counts become SI in body axes, before any calibration.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Sensitivity {
+    /// SI units (magnetometer: µT) per count.
+    pub per_count: f32,
+    /// Rotation from the chip's axes to the body's: a signed permutation on most boards.
+    pub mounting: Mat3<f32>,
+}
+
+/// The folded form `x = matrix · counts − offset`.
+#[derive(Clone, Copy, Debug)]
+pub struct SensorModel {
+    matrix: Mat3<f32>,
+    offset: Vec3<f32>,
+}
+
+impl SensorModel {
+    /// Folds sensitivity, mounting and calibration.
+    ///
+    /// # Errors
+    /// A sensitivity that isn't positive and finite, a mounting that isn't a rotation, a calibration matrix
+    /// that isn't near the unit matrix (determinant outside 0.5 to 2), a bias that isn't finite.
+    pub fn new(
+        name: SensorFields,
+        sensitivity: Sensitivity,
+        calibration: SensorCalibration,
+    ) -> Result<Self, ConfigError> {
+        check(name.per_count, sensitivity.per_count, f32::MIN_POSITIVE, 1.0e3)?;
+        // A rotation has determinant 1; a typed-in one has it to a few digits.
+        check(name.mounting, sensitivity.mounting.determinant(), 0.999, 1.001)?;
+        check(name.matrix, calibration.matrix.determinant(), 0.5, 2.0)?;
+        for axis in <[f32; 3]>::from(calibration.bias) {
+            check(name.bias, axis, -1.0e6, 1.0e6)?;
+        }
+        Ok(Self {
+            matrix: calibration.matrix * sensitivity.mounting * sensitivity.per_count,
+            offset: calibration.matrix * calibration.bias,
+        })
+    }
+
+    /// The calibrated reading, SI (magnetometer: µT), body axes.
+    #[inline(always)]
+    pub fn apply(&self, counts: [i16; 3]) -> Vec3<f32> {
+        let [x, y, z] = counts;
+        self.matrix * vec3(f32::from(x), f32::from(y), f32::from(z)) - self.offset
+    }
+}
+
+/// The names under which a sensor's fields appear in an error.
+#[derive(Clone, Copy, Debug)]
+pub struct SensorFields {
+    per_count: &'static str,
+    mounting: &'static str,
+    matrix: &'static str,
+    bias: &'static str,
+}
+
+impl SensorFields {
+    /// Gyroscope.
+    pub const GYRO: Self = Self {
+        per_count: "gyro.per_count",
+        mounting: "gyro.mounting (determinant)",
+        matrix: "calibration.gyro.matrix (determinant)",
+        bias: "calibration.gyro.bias",
+    };
+    /// Accelerometer.
+    pub const ACCEL: Self = Self {
+        per_count: "accel.per_count",
+        mounting: "accel.mounting (determinant)",
+        matrix: "calibration.accel.matrix (determinant)",
+        bias: "calibration.accel.bias",
+    };
+    /// Magnetometer.
+    pub const MAG: Self = Self {
+        per_count: "mag.per_count",
+        mounting: "mag.mounting (determinant)",
+        matrix: "calibration.mag.matrix (determinant)",
+        bias: "calibration.mag.bias",
+    };
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const TURNED: Sensitivity = Sensitivity {
+        per_count: 0.01,
+        // The chip's x points right, its y backward: a board mounted 90° clockwise.
+        mounting: Mat3 { rows: [vec3(0.0, -1.0, 0.0), vec3(1.0, 0.0, 0.0), vec3(0.0, 0.0, 1.0)] },
+    };
+
+    #[test]
+    fn folded_form_equals_the_three_steps() {
+        let calibration = SensorCalibration {
+            bias: vec3(0.1, -0.2, 0.3),
+            matrix: Mat3::from_rows([[1.01, 0.002, -0.001], [0.0, 0.99, 0.004], [0.003, 0.0, 1.02]]),
+        };
+        let model = SensorModel::new(SensorFields::GYRO, TURNED, calibration).unwrap();
+        let folded = model.apply([1000, -500, 250]);
+        let body = vec3(5.0, 10.0, 2.5);
+        let stepwise = calibration.matrix * (body - calibration.bias);
+        assert!((folded - stepwise).norm() < 1e-5, "{folded:?} {stepwise:?}");
+    }
+
+    #[test]
+    fn refuses_what_is_no_rotation_and_what_is_no_calibration() {
+        let mirror = Sensitivity {
+            mounting: Mat3 { rows: [Vec3::X, vec3(0.0, 1.0, 0.0), vec3(0.0, 0.0, -1.0)] },
+            ..TURNED
+        };
+        let error = SensorModel::new(SensorFields::GYRO, mirror, SensorCalibration::NONE).unwrap_err();
+        assert_eq!(error.field, "gyro.mounting (determinant)");
+        let flat = SensorCalibration { matrix: Mat3::IDENTITY * 0.0, ..SensorCalibration::NONE };
+        assert!(SensorModel::new(SensorFields::MAG, TURNED, flat).is_err());
+    }
+}

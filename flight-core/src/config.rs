@@ -1,0 +1,112 @@
+//! Everything that can be set, with its defaults and its ranges.
+
+use core::fmt;
+
+use crate::STANDARD_GRAVITY;
+use crate::calibration::{Calibration, Sensitivity};
+use crate::control::ControlParams;
+use crate::esc::EscParams;
+use crate::estimator::EstimatorParams;
+use crate::geometry::Mat3;
+use crate::mixer::Airframe;
+
+/// What a [`crate::FlightController`] is built from.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Config {
+    /// What does not change from one vehicle of a type to the next.
+    pub params: Params,
+    /// What was measured on this vehicle's own sensors; `None` takes them as their datasheets say.
+    pub calibration: Option<Calibration>,
+}
+
+/// Rates, sensors, filters, airframe and gains.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Params {
+    /// Rate of gyroscope and accelerometer, and so of the whole chain, Hz.
+    pub imu_rate_hz: f32,
+    /// Rate of the magnetometer, Hz.
+    pub mag_rate_hz: f32,
+    /// Counts of the gyroscope to rad/s.
+    pub gyro: Sensitivity,
+    /// Counts of the accelerometer to m/s².
+    pub accel: Sensitivity,
+    /// Counts of the magnetometer to µT.
+    pub mag: Sensitivity,
+    /// Cutoff of the Butterworth prefilter on all nine axes, Hz; `None` leaves it out.
+    pub prefilter_cutoff_hz: Option<f32>,
+    /// The complementary filter.
+    pub estimator: EstimatorParams,
+    /// The vehicle.
+    pub airframe: Airframe,
+    /// Gains and limits.
+    pub control: ControlParams,
+    /// Pulses.
+    pub esc: EscParams,
+    /// Below this voltage a flight may not start, V.
+    pub min_arm_voltage_v: f32,
+}
+
+/// ±2,000 °/s over 16 bits: 16.4 LSB/(°/s) (ICM-42688-P datasheet DS-000347, table 1).
+const ICM_42688_GYRO_RAD_S: f32 = (core::f64::consts::PI / 180.0 / 16.4) as f32;
+/// ±16 g over 16 bits: 2,048 LSB/g (ICM-42688-P datasheet DS-000347, table 2).
+const ICM_42688_ACCEL_M_S2: f32 = STANDARD_GRAVITY / 2048.0;
+/// ±8 G over 16 bits: 3,000 LSB/G (QMC5883L datasheet, table 2); 1 G is 100 µT.
+const QMC5883L_MAG_UT: f32 = 100.0 / 3000.0;
+
+impl Default for Params {
+    /// An ICM-42688-P at 1 kHz and a QMC5883L at 100 Hz, mounted along the body's axes, on OS4.
+    fn default() -> Self {
+        let along_body = |per_count| Sensitivity { per_count, mounting: Mat3::IDENTITY };
+        Self {
+            imu_rate_hz: 1000.0,
+            mag_rate_hz: 100.0,
+            gyro: along_body(ICM_42688_GYRO_RAD_S),
+            accel: along_body(ICM_42688_ACCEL_M_S2),
+            mag: along_body(QMC5883L_MAG_UT),
+            prefilter_cutoff_hz: Some(30.0),
+            estimator: EstimatorParams::FLIGHT,
+            airframe: Airframe::OS4,
+            control: ControlParams::OS4,
+            esc: EscParams::STANDARD,
+            // 3 cells at 3.5 V.
+            min_arm_voltage_v: 10.5,
+        }
+    }
+}
+
+/// A parameter outside its range.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ConfigError {
+    /// Which one.
+    pub field: &'static str,
+    /// What it was.
+    pub value: f32,
+    /// Smallest allowed value.
+    pub minimum: f32,
+    /// Largest allowed value.
+    pub maximum: f32,
+    /// Whether the two ends themselves are refused.
+    pub exclusive: bool,
+}
+
+impl fmt::Display for ConfigError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { field, value, minimum, maximum, exclusive } = self;
+        if *exclusive {
+            write!(f, "{field} = {value}: must be above {minimum} and below {maximum}")
+        } else {
+            write!(f, "{field} = {value}: must be from {minimum} to {maximum}")
+        }
+    }
+}
+
+impl core::error::Error for ConfigError {}
+
+/// Whether `value` is within `minimum..=maximum`; NaN is not.
+pub(crate) fn check(field: &'static str, value: f32, minimum: f32, maximum: f32) -> Result<(), ConfigError> {
+    if value >= minimum && value <= maximum {
+        Ok(())
+    } else {
+        Err(ConfigError { field, value, minimum, maximum, exclusive: false })
+    }
+}

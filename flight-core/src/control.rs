@@ -1,0 +1,302 @@
+//! Angle → rate cascade: from the sticks to torques.
+//!
+//! ```text
+//!  sticks ──► down setpoint ──► tilt error ─┐
+//!         ──► heading target ─► yaw error ──┴─► rate setpoint ──► P I D ──► angular acceleration ──► · I = torque
+//! ```
+//!
+//! The outer loop works on the direction of down in body axes, not on Euler angles, so that it has no
+//! singularity and does not mix heading errors into tilt. The inner loop's gains are in angular acceleration
+//! per unit of rate error, and the inertia turns them into torque: the same gains fit a larger vehicle.
+
+use crate::arithmetic::{sin_cos, sqrt, wrap_pi};
+use crate::config::{ConfigError, check};
+use crate::geometry::{Vec3, vec3};
+use crate::mixer::Saturation;
+use crate::rc::Sticks;
+
+/// Gains and limits of the cascade.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ControlParams {
+    /// Tilt at full stick, rad.
+    pub max_tilt_rad: f32,
+    /// Yaw rate at full stick, rad/s.
+    pub max_yaw_rate_rad_s: f32,
+    /// Largest roll and pitch rate that the angle loop asks for, rad/s.
+    pub max_tilt_rate_rad_s: f32,
+    /// Angle loop: rate per tilt error, 1/s.
+    pub tilt_p: f32,
+    /// Angle loop: rate per heading error, 1/s.
+    pub heading_p: f32,
+    /// Rate loop, per axis: angular acceleration per rate error, 1/s.
+    pub rate_p: Vec3<f32>,
+    /// Rate loop, per axis: angular acceleration per integrated rate error, 1/s².
+    pub rate_i: Vec3<f32>,
+    /// Rate loop, per axis: angular acceleration per measured angular acceleration, dimensionless.
+    pub rate_d: Vec3<f32>,
+    /// Largest angular acceleration that the integrator may hold, per axis, rad/s².
+    pub max_integral_rad_s2: Vec3<f32>,
+}
+
+impl ControlParams {
+    /// For OS4 with 50 ms of motor lag behind a 30 Hz prefilter.
+    ///
+    /// Torque reaches the body through 1/(1 + 0.05 s) and 7.5 ms of prefilter delay. P/(1 + D/P s …) with
+    /// D/P = 0.05 s cancels the motor's pole; what is left, P/s behind 12 ms of delay, has a phase margin of
+    /// 65° at P = 20 /s crossover over 1 + D. The angle loop closes a third below that.
+    pub const OS4: Self = Self {
+        max_tilt_rad: core::f32::consts::FRAC_PI_4,
+        max_yaw_rate_rad_s: core::f32::consts::FRAC_PI_2,
+        max_tilt_rate_rad_s: 4.0,
+        tilt_p: 7.0,
+        heading_p: 2.5,
+        rate_p: vec3(20.0, 20.0, 6.0),
+        rate_i: vec3(20.0, 20.0, 4.0),
+        rate_d: vec3(0.8, 0.8, 0.0),
+        max_integral_rad_s2: vec3(20.0, 20.0, 4.0),
+    };
+
+    fn validate(&self) -> Result<(), ConfigError> {
+        check("control.max_tilt_rad", self.max_tilt_rad, 0.01, 1.4)?;
+        check("control.max_yaw_rate_rad_s", self.max_yaw_rate_rad_s, 0.01, 35.0)?;
+        check("control.max_tilt_rate_rad_s", self.max_tilt_rate_rad_s, 0.01, 35.0)?;
+        check("control.tilt_p", self.tilt_p, 0.0, 100.0)?;
+        check("control.heading_p", self.heading_p, 0.0, 100.0)?;
+        for (field, gains, maximum) in [
+            ("control.rate_p", self.rate_p, 1.0e3),
+            ("control.rate_i", self.rate_i, 1.0e4),
+            ("control.rate_d", self.rate_d, 10.0),
+            ("control.max_integral_rad_s2", self.max_integral_rad_s2, 1.0e3),
+        ] {
+            for gain in <[f32; 3]>::from(gains) {
+                check(field, gain, 0.0, maximum)?;
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Stick deflection within which the pilot is taken to hold the heading.
+const YAW_DEADBAND: f32 = 0.02;
+
+/// Throttle above which the vehicle is taken to have left the ground. Below it, before the first time, the
+/// rotors idle: a controller that fights the ground winds up and tips the vehicle over.
+const TAKE_OFF_THROTTLE: f32 = 0.1;
+
+/// What the cascade is to reach.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Setpoint {
+    /// Down in body axes at the wanted tilt.
+    down: Vec3<f32>,
+    /// Wanted turn about the vertical, rad/s, when the stick is out of its deadband.
+    yaw_rate: Option<f32>,
+    throttle: f32,
+}
+
+/// The cascade's state.
+#[derive(Clone, Copy, Debug)]
+pub struct Controller {
+    params: ControlParams,
+    inertia_kg_m2: Vec3<f32>,
+    setpoint: Setpoint,
+    heading_target: f32,
+    integral: Vec3<f32>,
+    last_rates: Vec3<f32>,
+    flying: bool,
+}
+
+impl Controller {
+    /// A controller for a vehicle of this inertia.
+    ///
+    /// # Errors
+    /// A gain or limit outside its range; an inertia that isn't positive.
+    pub fn new(params: &ControlParams, inertia_kg_m2: Vec3<f32>) -> Result<Self, ConfigError> {
+        params.validate()?;
+        for axis in <[f32; 3]>::from(inertia_kg_m2) {
+            check("airframe.inertia_kg_m2", axis, 1.0e-9, 1.0e6)?;
+        }
+        Ok(Self {
+            params: *params,
+            inertia_kg_m2,
+            setpoint: Setpoint { down: Vec3::Z, yaw_rate: None, throttle: 0.0 },
+            heading_target: 0.0,
+            integral: Vec3::ZERO,
+            last_rates: Vec3::ZERO,
+            flying: false,
+        })
+    }
+
+    /// Takes new stick positions: 50 to 150 times a second, so the sines stand here, not in [`Self::step`].
+    pub fn set_sticks(&mut self, sticks: &Sticks) {
+        let (sin_roll, cos_roll) = sin_cos(sticks.roll * self.params.max_tilt_rad);
+        let (sin_pitch, cos_pitch) = sin_cos(-sticks.pitch * self.params.max_tilt_rad);
+        self.setpoint = Setpoint {
+            down: vec3(-sin_pitch, sin_roll * cos_pitch, cos_roll * cos_pitch),
+            yaw_rate: (sticks.yaw.abs() > YAW_DEADBAND)
+                .then_some(sticks.yaw * self.params.max_yaw_rate_rad_s),
+            throttle: sticks.throttle,
+        };
+    }
+
+    /// The last throttle position, 0 to 1.
+    #[inline(always)]
+    pub fn throttle(&self) -> f32 {
+        self.setpoint.throttle
+    }
+
+    /// Forgets what was wound up: for every step in which the motors are stopped.
+    pub fn rest(&mut self, rates: Vec3<f32>, heading: f32) {
+        self.integral = Vec3::ZERO;
+        self.last_rates = rates;
+        self.heading_target = heading;
+        self.flying = false;
+    }
+
+    /// One step: the torque (N·m, body axes) that brings the vehicle to the setpoint.
+    ///
+    /// `down` is the estimated down direction in body axes, `heading` the estimated heading (rad), `rates`
+    /// the body rates (rad/s), and `cut` what the mixer could not do in the last step: there the integrator
+    /// holds rather than winds up.
+    #[inline]
+    pub fn step(
+        &mut self,
+        down: Vec3<f32>,
+        heading: f32,
+        rates: Vec3<f32>,
+        cut: Saturation,
+        dt_s: f32,
+    ) -> Vec3<f32> {
+        if !self.flying {
+            if self.setpoint.throttle < TAKE_OFF_THROTTLE {
+                self.rest(rates, heading);
+                return Vec3::ZERO;
+            }
+            self.flying = true;
+        }
+        let error = self.rate_setpoint(down, heading) - rates;
+        let p = &self.params;
+
+        let slope = (rates - self.last_rates) * if dt_s > 0.0 { 1.0 / dt_s } else { 0.0 };
+        self.last_rates = rates;
+
+        let free = vec3(
+            if cut.roll_pitch { 0.0 } else { dt_s },
+            if cut.roll_pitch { 0.0 } else { dt_s },
+            if cut.yaw { 0.0 } else { dt_s },
+        );
+        let wound = self.integral + p.rate_i.scale_by(error).scale_by(free);
+        self.integral = limit(wound, p.max_integral_rad_s2);
+
+        let acceleration = p.rate_p.scale_by(error) + self.integral - p.rate_d.scale_by(slope);
+        acceleration.scale_by(self.inertia_kg_m2)
+    }
+
+    /// The body rates (rad/s) that the angle loop asks for.
+    #[inline(always)]
+    fn rate_setpoint(&mut self, down: Vec3<f32>, heading: f32) -> Vec3<f32> {
+        let p = &self.params;
+        // Turning the body at ω moves down in body axes at −ω × down, so ω ∝ wanted × down closes the angle
+        // a between them. |wanted × down| is sin a; over (1 + cos a)/2 it is 2 tan(a/2): a for small angles,
+        // and still rising where sin a falls.
+        let axis = self.setpoint.down.cross(down);
+        let one_plus_cos = 1.0 + self.setpoint.down.dot(down);
+        let error = if one_plus_cos > 1.0e-3 {
+            axis * (2.0 / one_plus_cos)
+        } else {
+            // Upside down: every level axis is as good; roll has the most authority.
+            vec3(core::f32::consts::PI, 0.0, 0.0)
+        };
+        let mut tilt_rate = error * p.tilt_p;
+        let square = tilt_rate.dot(tilt_rate);
+        if square > p.max_tilt_rate_rad_s * p.max_tilt_rate_rad_s {
+            tilt_rate = tilt_rate * (p.max_tilt_rate_rad_s / sqrt(square));
+        }
+        let yaw_rate = match self.setpoint.yaw_rate {
+            Some(rate) => {
+                self.heading_target = heading;
+                rate
+            }
+            None => (p.heading_p * wrap_pi(self.heading_target - heading))
+                .clamp(-p.max_yaw_rate_rad_s, p.max_yaw_rate_rad_s),
+        };
+        // A turn about the vertical, in body axes.
+        tilt_rate + down * yaw_rate
+    }
+}
+
+fn limit(v: Vec3<f32>, bound: Vec3<f32>) -> Vec3<f32> {
+    vec3(v.x.max(-bound.x).min(bound.x), v.y.max(-bound.y).min(bound.y), v.z.max(-bound.z).min(bound.z))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const INERTIA: Vec3<f32> = vec3(7.5e-3, 7.5e-3, 1.3e-2);
+    const FREE: Saturation = Saturation { roll_pitch: false, yaw: false };
+
+    fn controller(sticks: Sticks) -> Controller {
+        let mut c = Controller::new(&ControlParams::OS4, INERTIA).unwrap();
+        c.set_sticks(&sticks);
+        c
+    }
+
+    const CENTRED: Sticks = Sticks { throttle: 0.5, roll: 0.0, pitch: 0.0, yaw: 0.0 };
+
+    #[test]
+    fn torque_has_the_sign_of_the_stick() {
+        for (sticks, axis) in [
+            (Sticks { roll: 0.5, ..CENTRED }, vec3(1.0, 0.0, 0.0)),
+            (Sticks { pitch: 0.5, ..CENTRED }, vec3(0.0, -1.0, 0.0)), // stick forward, nose down
+            (Sticks { yaw: 0.5, ..CENTRED }, vec3(0.0, 0.0, 1.0)),
+        ] {
+            let torque = controller(sticks).step(Vec3::Z, 0.0, Vec3::ZERO, FREE, 1e-3);
+            assert!(torque.dot(axis) > 0.9 * torque.norm() && torque.norm() > 0.0, "{torque:?}");
+        }
+    }
+
+    #[test]
+    fn torque_opposes_tilt_heading_and_rate() {
+        // Rolled 0.1 rad to the right: down leans to +y.
+        let torque = controller(CENTRED).step(vec3(0.0, 0.0998, 0.995), 0.0, Vec3::ZERO, FREE, 1e-3);
+        assert!(torque.x < 0.0 && torque.y == 0.0);
+        let torque = controller(CENTRED).step(Vec3::Z, 0.1, Vec3::ZERO, FREE, 1e-3);
+        assert!(torque.z < 0.0);
+        let torque = controller(CENTRED).step(Vec3::Z, 0.0, vec3(0.1, 0.2, 0.3), FREE, 1e-3);
+        assert!(torque.x < 0.0 && torque.y < 0.0 && torque.z < 0.0);
+    }
+
+    #[test]
+    fn upside_down_it_turns_over() {
+        let torque = controller(CENTRED).step(vec3(0.0, 0.0, -1.0), 0.0, Vec3::ZERO, FREE, 1e-3);
+        assert!(torque.x.abs() > 0.1 && torque.x.is_finite());
+    }
+
+    #[test]
+    fn integrator_holds_while_the_mixer_is_full_and_is_bounded() {
+        let tilted = vec3(0.0, 0.5, 0.866_025_4);
+        let full = Saturation { roll_pitch: true, yaw: true };
+        let mut c = controller(CENTRED);
+        for _ in 0..60_000 {
+            c.step(tilted, 1.0, Vec3::ZERO, full, 1e-3);
+        }
+        assert_eq!(c.integral, Vec3::ZERO);
+        for _ in 0..60_000 {
+            c.step(tilted, 1.0, Vec3::ZERO, FREE, 1e-3);
+        }
+        assert_eq!(c.integral.x, -ControlParams::OS4.max_integral_rad_s2.x);
+    }
+
+    #[test]
+    fn on_the_ground_nothing_winds_up() {
+        let mut c = controller(Sticks { throttle: 0.05, ..CENTRED });
+        for _ in 0..1000 {
+            assert_eq!(c.step(vec3(0.0, 0.1, 0.995), 0.3, vec3(0.1, 0.1, 0.1), FREE, 1e-3), Vec3::ZERO);
+        }
+        // Once it has flown, low throttle does not take control away.
+        c.set_sticks(&CENTRED);
+        c.step(Vec3::Z, 0.3, Vec3::ZERO, FREE, 1e-3);
+        c.set_sticks(&Sticks { throttle: 0.0, ..CENTRED });
+        assert!(c.step(vec3(0.0, 0.1, 0.995), 0.3, Vec3::ZERO, FREE, 1e-3).x < 0.0);
+    }
+}

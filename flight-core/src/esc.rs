@@ -1,0 +1,81 @@
+//! Rotor speed to ESC pulse.
+
+use crate::config::{ConfigError, check};
+
+/// The ESC's pulse map: linear in rotor speed from `stop_us` (no rotation) to `full_us` (`max_rad_s`).
+///
+/// The map of a real ESC and motor is measured on a stand; a straight line through its ends is our choice
+/// for the default vehicle.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct EscParams {
+    /// Pulse at which the motor stands still, µs.
+    pub stop_us: f32,
+    /// Pulse of full speed, µs.
+    pub full_us: f32,
+}
+
+impl EscParams {
+    /// 1,000 to 2,000 µs, the servo pulse that every ESC understands.
+    pub const STANDARD: Self = Self { stop_us: 1000.0, full_us: 2000.0 };
+}
+
+/// The map from rotor speed to pulse.
+#[derive(Clone, Copy, Debug)]
+pub struct Esc {
+    stop_us: f32,
+    us_per_rad_s: f32,
+    idle_us: f32,
+    full_us: f32,
+}
+
+impl Esc {
+    /// The map for rotors that do `idle_rad_s` to `max_rad_s`.
+    ///
+    /// # Errors
+    /// Pulses outside 100 to 3,000 µs, or full not above stop.
+    pub fn new(params: &EscParams, idle_rad_s: f32, max_rad_s: f32) -> Result<Self, ConfigError> {
+        check("esc.stop_us", params.stop_us, 100.0, 3000.0)?;
+        check("esc.full_us", params.full_us, params.stop_us + 1.0, 3000.0)?;
+        let us_per_rad_s = (params.full_us - params.stop_us) / max_rad_s;
+        Ok(Self {
+            stop_us: params.stop_us,
+            us_per_rad_s,
+            idle_us: params.stop_us + us_per_rad_s * idle_rad_s,
+            full_us: params.full_us,
+        })
+    }
+
+    /// The pulse of a disarmed motor, µs.
+    #[inline(always)]
+    pub fn stop_us(&self) -> f32 {
+        self.stop_us
+    }
+
+    /// The pulse for a speed (rad/s), between idle and full, µs.
+    #[inline(always)]
+    pub fn pulse_us(&self, speed_rad_s: f32) -> f32 {
+        // `min` and `max` here also keep a NaN from reaching a motor: they return the limit.
+        (self.stop_us + self.us_per_rad_s * speed_rad_s).max(self.idle_us).min(self.full_us)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn line_and_limits() {
+        let esc = Esc::new(&EscParams::STANDARD, 32.0, 320.0).unwrap();
+        assert_eq!(esc.pulse_us(160.0), 1500.0);
+        assert_eq!(esc.pulse_us(0.0), 1100.0);
+        assert_eq!(esc.pulse_us(1.0e6), 2000.0);
+        assert_eq!(esc.pulse_us(f32::NAN), 1100.0);
+        assert_eq!(esc.stop_us(), 1000.0);
+    }
+
+    #[test]
+    fn refuses_a_map_that_does_not_rise() {
+        let falling = EscParams { stop_us: 2000.0, full_us: 1000.0 };
+        assert_eq!(Esc::new(&falling, 32.0, 320.0).unwrap_err().field, "esc.full_us");
+    }
+}

@@ -1,0 +1,129 @@
+//! Eq 18 on a quaternion: predict by the gyroscope, then go the share 1 − α of the shortest rotation from
+//! the prediction to the measurement, first in tilt, then in heading.
+
+use super::{EstimatorParams, MIN_HORIZONTAL_FIELD_SQUARED, MIN_SPECIFIC_FORCE_SQUARED, Weight};
+use crate::arithmetic::{atan2, wrap_pi};
+use crate::geometry::{Quaternion, Vec3, vec3};
+
+/// The complementary filter on a quaternion.
+///
+/// While the filter is younger than τ its age takes the place of τ, which makes the start the plain mean of
+/// the first measurements instead of a τ-long decay of the first sample's noise.
+#[derive(Clone, Copy, Debug)]
+pub struct QuaternionFilter {
+    weight: Weight,
+    declination_rad: f32,
+    q: Quaternion<f32>,
+    /// Down in body axes, kept from the last update.
+    down: Vec3<f32>,
+    /// Time since the first sample, s, counted up to τ.
+    tilt_age_s: f32,
+    /// Time since the first magnetometer sample, s, counted up to τ.
+    heading_age_s: f32,
+    /// Time since the last magnetometer sample, s.
+    mag_dt_s: f32,
+    tilt_started: bool,
+    heading_started: bool,
+}
+
+impl QuaternionFilter {
+    pub(super) fn new(params: &EstimatorParams) -> Self {
+        Self {
+            weight: params.weight,
+            declination_rad: params.declination_rad,
+            q: Quaternion::IDENTITY,
+            down: Vec3::Z,
+            tilt_age_s: 0.0,
+            heading_age_s: 0.0,
+            mag_dt_s: 0.0,
+            tilt_started: false,
+            heading_started: false,
+        }
+    }
+
+    #[inline]
+    pub(super) fn update(&mut self, gyro: Vec3<f32>, accel: Vec3<f32>, mag: Option<Vec3<f32>>, dt_s: f32) {
+        self.q = self.q * Quaternion::from_rotation_vector(gyro * dt_s);
+        self.correct_tilt(accel, dt_s);
+        self.mag_dt_s += dt_s;
+        if let Some(field) = mag {
+            self.correct_heading(field);
+        }
+        // One Newton step for 1/√n at n = 1: a step's rounding leaves n within 1e-6 of 1, which it squares.
+        self.q = self.q.scaled(1.5 - 0.5 * self.q.norm_squared());
+        self.down = self.q.down();
+    }
+
+    /// Turns the predicted down direction towards the measured one, −f.
+    #[inline(always)]
+    fn correct_tilt(&mut self, f: Vec3<f32>, dt_s: f32) {
+        if f.dot(f) < MIN_SPECIFIC_FORCE_SQUARED {
+            return;
+        }
+        let predicted = self.q.down();
+        let axis = predicted.cross(f); // −f × predicted, times |f|: the axis that turns the body
+        let sine = axis.norm();
+        let angle = atan2(sine, -f.dot(predicted));
+        let share = if self.tilt_started { self.share(self.tilt_age_s, dt_s) } else { 1.0 };
+        self.tilt_started = true;
+        self.tilt_age_s = self.aged(self.tilt_age_s, dt_s);
+        let turn = if sine > 1.0e-6 {
+            axis * (share * angle / sine)
+        } else {
+            // Parallel: nothing to do. Antiparallel: any level axis serves; take the body's x.
+            Vec3::X * (share * angle)
+        };
+        self.q = self.q * Quaternion::from_rotation_vector(turn);
+    }
+
+    /// Turns the heading about the vertical until the horizontal field lies along magnetic north.
+    #[inline(always)]
+    fn correct_heading(&mut self, m: Vec3<f32>) {
+        let field = self.q.rotate(m);
+        if field.x * field.x + field.y * field.y < MIN_HORIZONTAL_FIELD_SQUARED {
+            return;
+        }
+        let excess = wrap_pi(atan2(field.y, field.x) - self.declination_rad);
+        let share = if self.heading_started { self.share(self.heading_age_s, self.mag_dt_s) } else { 1.0 };
+        self.heading_started = true;
+        self.heading_age_s = self.aged(self.heading_age_s, self.mag_dt_s);
+        self.mag_dt_s = 0.0;
+        self.q = Quaternion::from_rotation_vector(vec3(0.0, 0.0, -share * excess)) * self.q;
+    }
+
+    /// 1 − α for a filter of this age.
+    #[inline(always)]
+    fn share(&self, age_s: f32, dt_s: f32) -> f32 {
+        match self.weight {
+            Weight::TimeConstant { tau_s } if age_s < tau_s => dt_s / (age_s + dt_s),
+            weight => weight.of_measurement(dt_s),
+        }
+    }
+
+    #[inline(always)]
+    fn aged(&self, age_s: f32, dt_s: f32) -> f32 {
+        match self.weight {
+            Weight::TimeConstant { tau_s } if age_s >= tau_s => age_s,
+            _ => age_s + dt_s,
+        }
+    }
+
+    pub(super) fn started(&self) -> bool {
+        self.tilt_started
+    }
+
+    #[inline(always)]
+    pub(super) fn down(&self) -> Vec3<f32> {
+        self.down
+    }
+
+    #[inline(always)]
+    pub(super) fn heading(&self) -> f32 {
+        let [w, x, y, z] = self.q.to_array();
+        atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+    }
+
+    pub(super) fn attitude(&self) -> Quaternion<f32> {
+        self.q
+    }
+}

@@ -1,0 +1,335 @@
+//! Thrust and torques to rotor speeds, and back: eqs 4-7.
+//!
+//! With A the 4×4 sign matrix of eqs 4-7 (a Hadamard matrix, A⁻¹ = Aᵀ/4):
+//!
+//! ```text
+//!            U1 = b Σ Ω²                  rotor   roll  pitch  yaw    seen from above, forward is up
+//!  roll    = l U2 = l b sin(π/4) Σ ±Ω²      1      +     +     +        1 ↺     2 ↻
+//!  pitch   = l U3 = l b sin(π/4) Σ ±Ω²      2      −     +     −            ╳
+//!  yaw     =   U4 = d Σ ±Ω²                 3      −     −     +        4 ↻     3 ↺
+//!                                           4      +     −     −
+//! ```
+//!
+//! so Ωᵢ² = U1/4b ± √2 U2/4b ± √2 U3/4b ± U4/4d. A rotor can do Ω_idle² to Ω_max² and nothing else, and a
+//! demand outside it is cut in a fixed order: keep roll and pitch, shift the collective into range, then
+//! scale yaw, then scale roll and pitch together. No rotor is clipped by itself, which would turn a yaw
+//! demand into roll.
+
+use crate::arithmetic::sqrt;
+use crate::config::{ConfigError, check};
+use crate::geometry::{Vec3, vec3};
+
+/// The vehicle, as far as thrust, torque and angular acceleration go (symbols of the paper's table 1).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Airframe {
+    /// b, N·s²: thrust of a rotor is b Ω².
+    pub thrust_coefficient: f32,
+    /// d, N·m·s²: reaction torque of a rotor is d Ω².
+    pub torque_coefficient: f32,
+    /// l, m: centre of gravity to rotor axis.
+    pub arm_m: f32,
+    /// I_xx, I_yy, I_zz, kg·m².
+    pub inertia_kg_m2: Vec3<f32>,
+    /// Slowest speed of an armed rotor, rad/s.
+    pub idle_rad_s: f32,
+    /// Fastest speed of a rotor, rad/s.
+    pub max_rad_s: f32,
+}
+
+impl Airframe {
+    /// OS4 (Bouabdallah, *Design and control of quadrotors with application to autonomous flying*, EPFL
+    /// thesis 3727, 2007). Idle and maximum speed are our own choice: thrust to weight 2, idle at 2 % of
+    /// hover thrust.
+    pub const OS4: Self = Self {
+        thrust_coefficient: 3.13e-5,
+        torque_coefficient: 7.5e-7,
+        arm_m: 0.23,
+        inertia_kg_m2: vec3(7.5e-3, 7.5e-3, 1.3e-2),
+        idle_rad_s: 32.0,
+        max_rad_s: 319.0,
+    };
+}
+
+/// Thrust and torques that the rotors are to produce, or do.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Wrench {
+    /// U1, N, upward along the body's −z.
+    pub thrust_n: f32,
+    /// l U2, l U3, U4, N·m, about the body's x, y, z.
+    pub torque_n_m: Vec3<f32>,
+}
+
+/// What of a demand did not fit.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Saturation {
+    /// Roll and pitch were scaled down.
+    pub roll_pitch: bool,
+    /// Yaw was scaled down.
+    pub yaw: bool,
+}
+
+/// The mixer of one airframe.
+#[derive(Clone, Copy, Debug)]
+pub struct Mixer {
+    /// 1/4b: Ω² per N.
+    per_thrust: f32,
+    /// √2/(4 b l): Ω² per N·m of roll or pitch.
+    per_tilt_torque: f32,
+    /// 1/4d: Ω² per N·m of yaw.
+    per_yaw_torque: f32,
+    min_square: f32,
+    max_square: f32,
+}
+
+impl Mixer {
+    /// The mixer of an airframe.
+    ///
+    /// # Errors
+    /// A coefficient, arm, inertia or speed that isn't positive; an idle speed not below the maximum.
+    pub fn new(airframe: &Airframe) -> Result<Self, ConfigError> {
+        let Airframe { thrust_coefficient: b, torque_coefficient: d, arm_m, .. } = *airframe;
+        check("airframe.thrust_coefficient", b, 1.0e-9, 1.0)?;
+        check("airframe.torque_coefficient", d, 1.0e-11, 1.0)?;
+        check("airframe.arm_m", arm_m, 0.01, 10.0)?;
+        check("airframe.max_rad_s", airframe.max_rad_s, 1.0, 1.0e4)?;
+        check("airframe.idle_rad_s", airframe.idle_rad_s, 0.0, 0.5 * airframe.max_rad_s)?;
+        Ok(Self {
+            per_thrust: 0.25 / b,
+            per_tilt_torque: core::f32::consts::SQRT_2 / (4.0 * b * arm_m),
+            per_yaw_torque: 0.25 / d,
+            min_square: airframe.idle_rad_s * airframe.idle_rad_s,
+            max_square: airframe.max_rad_s * airframe.max_rad_s,
+        })
+    }
+
+    /// Thrust with all rotors at full speed, N.
+    pub fn max_thrust_n(&self) -> f32 {
+        self.max_square / self.per_thrust
+    }
+
+    /// Squared speeds (rad²/s²) that produce `demand` or, where that can't be, what is nearest to it in the
+    /// order of the module's text.
+    ///
+    /// Rotors 1 and 3 get ±A, 2 and 4 ±B from roll and pitch, and +Y or −Y from yaw, so the spread is
+    /// max(2|A|, 2|B|, |A| + |B| + 2|Y|), and each limit is solved for in closed form.
+    #[inline]
+    pub fn mix(&self, demand: &Wrench) -> ([f32; 4], Saturation) {
+        let span = self.max_square - self.min_square;
+        let roll = demand.torque_n_m.x * self.per_tilt_torque;
+        let pitch = demand.torque_n_m.y * self.per_tilt_torque;
+        let mut a = pitch + roll;
+        let mut b = pitch - roll;
+
+        let widest = 2.0 * a.abs().max(b.abs());
+        let roll_pitch = widest > span;
+        if roll_pitch {
+            let share = span / widest;
+            a *= share;
+            b *= share;
+        }
+        let wanted = demand.torque_n_m.z * self.per_yaw_torque;
+        // Rounding may leave −ε of room.
+        let room = (0.5 * (span - a.abs() - b.abs())).max(0.0);
+        let yaw = wanted.abs() > room;
+        let y = if yaw { room.copysign(wanted) } else { wanted };
+
+        let highest = (a.abs() + y).max(b.abs() - y);
+        let lowest = (y - a.abs()).min(-b.abs() - y);
+        let collective =
+            (demand.thrust_n * self.per_thrust).min(self.max_square - highest).max(self.min_square - lowest);
+
+        let (up, down) = (collective + y, collective - y);
+        ([up + a, down + b, up - a, down - b], Saturation { roll_pitch, yaw })
+    }
+
+    /// Eqs 4-7 as they stand: what rotors at these squared speeds produce.
+    pub fn produce(&self, squares: [f32; 4]) -> Wrench {
+        let [s1, s2, s3, s4] = squares;
+        let quarter = |sum: f32, per: f32| 0.25 * sum / per;
+        Wrench {
+            thrust_n: quarter(s1 + s2 + s3 + s4, self.per_thrust),
+            torque_n_m: vec3(
+                quarter(s1 - s2 - s3 + s4, self.per_tilt_torque),
+                quarter(s1 + s2 - s3 - s4, self.per_tilt_torque),
+                quarter(s1 - s2 + s3 - s4, self.per_yaw_torque),
+            ),
+        }
+    }
+
+    /// Speeds of squared speeds, rad/s. A square that rounding left just below its limit reads as zero speed
+    /// at worst.
+    #[inline]
+    pub fn speeds(squares: [f32; 4]) -> [f32; 4] {
+        squares.map(|s| sqrt(s.max(0.0)))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn mixer() -> Mixer {
+        Mixer::new(&Airframe::OS4).unwrap()
+    }
+
+    /// Eqs 4-7 written out from the paper in f64, with p_i/4 read as π/4 and the lever of eqs 8-9.
+    fn paper(s: [f32; 4]) -> [f64; 4] {
+        let [s1, s2, s3, s4] = s.map(f64::from);
+        let (b, d, l) = (3.13e-5, 7.5e-7, 0.23);
+        let lever = b * core::f64::consts::FRAC_PI_4.sin();
+        [
+            b * (s1 + s2 + s3 + s4),
+            l * lever * (s1 - s2 - s3 + s4),
+            l * lever * (s1 + s2 - s3 - s4),
+            d * (s1 - s2 + s3 - s4),
+        ]
+    }
+
+    fn parts(w: &Wrench) -> [f64; 4] {
+        [w.thrust_n, w.torque_n_m.x, w.torque_n_m.y, w.torque_n_m.z].map(f64::from)
+    }
+
+    fn wrench(thrust_n: f32, x: f32, y: f32, z: f32) -> Wrench {
+        Wrench { thrust_n, torque_n_m: vec3(x, y, z) }
+    }
+
+    /// Largest torques from hover: roll or pitch 2 · Ω_h² per side, yaw likewise.
+    const MAX_TILT_TORQUE: f32 = 1.04;
+    const MAX_YAW_TORQUE: f32 = 0.153;
+
+    #[test]
+    fn sign_matrix_is_hadamard_with_the_determinant_of_the_design() {
+        let signs = [[1, 1, 1, 1], [1, -1, -1, 1], [1, 1, -1, -1], [1, -1, 1, -1]];
+        for (i, p) in signs.iter().enumerate() {
+            for (j, q) in signs.iter().enumerate() {
+                let dot: i32 = p.iter().zip(q).map(|(a, b)| a * b).sum();
+                assert_eq!(dot, if i == j { 4 } else { 0 });
+            }
+        }
+        // |det| of a 4×4 Hadamard matrix is 16; rows scaled by b, b/√2, b/√2, d: 16 · b³d/2 = 8 b³d.
+        let minor = |m: [[i32; 3]; 3]| {
+            m[0][0] * (m[1][1] * m[2][2] - m[1][2] * m[2][1])
+                - m[0][1] * (m[1][0] * m[2][2] - m[1][2] * m[2][0])
+                + m[0][2] * (m[1][0] * m[2][1] - m[1][1] * m[2][0])
+        };
+        let cofactor = |c: usize| {
+            let mut m = [[0; 3]; 3];
+            for (row, signs) in m.iter_mut().zip(&signs[1..]) {
+                let mut kept = signs.iter().enumerate().filter(|(j, _)| *j != c).map(|(_, s)| *s);
+                *row = [kept.next().unwrap(), kept.next().unwrap(), kept.next().unwrap()];
+            }
+            minor(m)
+        };
+        let det: i32 = (0..4).map(|c| if c % 2 == 0 { cofactor(c) } else { -cofactor(c) }).sum();
+        assert_eq!(det, -16);
+    }
+
+    proptest! {
+        #[test]
+        fn forward_is_the_paper(s in prop::array::uniform4(0.0_f32..1.0e5)) {
+            let scale = [13.0, 1.0, 1.0, 0.15];
+            for ((ours, theirs), scale) in parts(&mixer().produce(s)).into_iter().zip(paper(s)).zip(scale) {
+                prop_assert!((ours - theirs).abs() < 2e-6 * scale, "{} {}", ours, theirs);
+            }
+        }
+
+        #[test]
+        fn inverse_then_forward_is_identity_inside_the_envelope(
+            thrust in 5.0_f32..8.0, x in -0.2_f32..0.2, y in -0.2_f32..0.2, z in -0.02_f32..0.02,
+        ) {
+            let (squares, saturation) = mixer().mix(&wrench(thrust, x, y, z));
+            prop_assert_eq!(saturation, Saturation::default());
+            let back = paper(squares);
+            for ((got, want), scale) in back.into_iter().zip(parts(&wrench(thrust, x, y, z))).zip([13.0, 1.0, 1.0, 0.15]) {
+                prop_assert!((got - want).abs() < 4e-6 * scale, "{} {}", got, want);
+            }
+        }
+
+        #[test]
+        fn any_demand_stays_in_range_and_keeps_the_order(
+            thrust in -5.0_f32..20.0, x in -3.0_f32..3.0, y in -3.0_f32..3.0, z in -0.5_f32..0.5,
+        ) {
+            let mixer = mixer();
+            let (squares, saturation) = mixer.mix(&wrench(thrust, x, y, z));
+            for s in squares {
+                prop_assert!(s >= mixer.min_square - 0.05 && s <= mixer.max_square + 0.05, "{}", s);
+            }
+            let [got_thrust, got_x, got_y, got_z] = paper(squares);
+            let (x, y, z) = (f64::from(x), f64::from(y), f64::from(z));
+            // Roll and pitch keep their direction, and their size unless they alone fill the range.
+            prop_assert!((got_x * y - got_y * x).abs() < 1e-5 * (1.0 + x.abs() + y.abs()));
+            if saturation.roll_pitch {
+                prop_assert!(got_x.hypot(got_y) <= x.hypot(y) + 1e-6);
+                let spread = squares.iter().fold(0.0_f32, |m, s| m.max(*s)) - squares.iter().fold(1e9_f32, |m, s| m.min(*s));
+                prop_assert!((spread - (mixer.max_square - mixer.min_square)).abs() < 0.1);
+            } else {
+                prop_assert!((got_x - x).abs() < 1e-5 && (got_y - y).abs() < 1e-5);
+            }
+            // Yaw never turns round, is never more than asked for, and is cut only if the range is full.
+            prop_assert!(got_z * z >= -1e-9 && got_z.abs() <= z.abs() + 1e-6);
+            prop_assert_eq!(saturation.yaw, (got_z - z).abs() > 1e-6);
+            // The collective is what was asked for unless a rotor is at its limit.
+            let inside = squares.iter().all(|s| *s > mixer.min_square + 0.1 && *s < mixer.max_square - 0.1);
+            if inside {
+                prop_assert!((got_thrust - f64::from(thrust)).abs() < 1e-4);
+            }
+        }
+
+        /// An independent way to the same optimum: bisection on the yaw share, with the range checked rotor
+        /// by rotor.
+        #[test]
+        fn yaw_is_cut_no_more_than_needed(x in -1.0_f32..1.0, y in -1.0_f32..1.0, z in -0.5_f32..0.5) {
+            let mixer = mixer();
+            let (squares, saturation) = mixer.mix(&wrench(6.4, x, y, z));
+            prop_assume!(!saturation.roll_pitch);
+            let fits = |share: f32| {
+                let r = x * mixer.per_tilt_torque;
+                let p = y * mixer.per_tilt_torque;
+                let w = share * z * mixer.per_yaw_torque;
+                let rotors = [r + p + w, p - r - w, w - r - p, r - p - w];
+                let spread = rotors.iter().fold(f32::MIN, |m, s| m.max(*s)) - rotors.iter().fold(f32::MAX, |m, s| m.min(*s));
+                spread <= mixer.max_square - mixer.min_square
+            };
+            let (mut low, mut high) = (0.0_f32, 1.0_f32);
+            if fits(1.0) { low = 1.0; }
+            for _ in 0..40 {
+                let middle = 0.5 * (low + high);
+                if fits(middle) { low = middle } else { high = middle }
+            }
+            prop_assert!((paper(squares)[3] - f64::from(low * z)).abs() < 1e-5);
+        }
+    }
+
+    #[test]
+    fn corners_of_the_envelope() {
+        let mixer = mixer();
+        // Full thrust and full roll: the collective gives way, the roll stays.
+        let (squares, saturation) = mixer.mix(&wrench(12.7, 0.5 * MAX_TILT_TORQUE, 0.0, 0.0));
+        assert!((paper(squares)[1] - 0.52).abs() < 1e-4 && !saturation.roll_pitch);
+        // No thrust and full yaw: the collective rises.
+        let (squares, _) = mixer.mix(&wrench(0.0, 0.0, 0.0, 0.5 * MAX_YAW_TORQUE));
+        assert!(paper(squares)[0] > 3.0);
+        // Hover: four equal rotors at the design's 225.7 rad/s.
+        let (squares, _) = mixer.mix(&wrench(0.65 * 9.80665, 0.0, 0.0, 0.0));
+        for speed in Mixer::speeds(squares) {
+            assert!((speed - 225.7).abs() < 0.1, "{speed}");
+        }
+    }
+
+    #[test]
+    fn rotor_positions_and_spins_give_the_signs_of_the_equations() {
+        // Cross products of lever and thrust, and the reaction to the spin, from geometry alone.
+        let arm = 0.23 * core::f32::consts::FRAC_1_SQRT_2;
+        let rotors = [(1.0, -1.0, 1.0), (1.0, 1.0, -1.0), (-1.0, 1.0, 1.0), (-1.0, -1.0, -1.0)];
+        for (i, (forward, right, anticlockwise)) in rotors.into_iter().enumerate() {
+            let mut squares = [0.0; 4];
+            squares[i] = 1.0e4;
+            let w = mixer().produce(squares);
+            let thrust = vec3(0.0, 0.0, -3.13e-5 * 1.0e4);
+            let torque = vec3(forward * arm, right * arm, 0.0).cross(thrust);
+            let expected = vec3(torque.x, torque.y, anticlockwise * 7.5e-7 * 1.0e4);
+            assert!((w.torque_n_m - expected).norm() < 1e-6, "rotor {}", i + 1);
+        }
+    }
+}

@@ -1,0 +1,71 @@
+//! What goes into one step of the flight controller, and what comes out.
+
+use crate::arming::{ArmState, Event, MotorPermit};
+
+/// Everything that arrived since the last step. A sensor that brought nothing new is `None`.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Input {
+    /// Time of this step, µs since start, from the data-ready capture or the simulator's frame. The only
+    /// clock there is.
+    pub time_us: u64,
+    /// Gyroscope and accelerometer.
+    pub imu: Option<ImuSample>,
+    /// Magnetometer.
+    pub mag: Option<MagSample>,
+    /// Radio control.
+    pub rc: Option<RcFrame>,
+    /// Supply.
+    pub battery: Option<Battery>,
+    /// What the board knows about itself.
+    pub health: Health,
+}
+
+/// Raw counts of the inertial sensor, in the chip's own axes.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct ImuSample {
+    /// Angular rate about the chip's x, y, z.
+    pub gyro: [i16; 3],
+    /// Specific force along the chip's x, y, z.
+    pub accel: [i16; 3],
+}
+
+/// Raw counts of the magnetometer, in the chip's own axes.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct MagSample {
+    /// Field along the chip's x, y, z.
+    pub counts: [i16; 3],
+}
+
+/// One frame from the receiver.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct RcFrame {
+    /// Throttle, roll, pitch, yaw in the 11-bit ticks of SBUS and CRSF: 172 to 1811, centre 992.
+    pub channels: [u16; 4],
+}
+
+/// State of the supply.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Battery {
+    /// Terminal voltage, V.
+    pub voltage_v: f32,
+}
+
+/// What the board knows about itself.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Health {
+    /// The outputs are locked: USB is plugged in, or the board is in bench mode.
+    pub bench_lock: bool,
+}
+
+/// The result of one step.
+#[derive(Debug)]
+pub struct Output {
+    /// The key to the motors: without it the board may only send the stop pulse.
+    pub permit: Option<MotorPermit>,
+    /// ESC pulses of rotors 1 to 4, µs. The stop pulse when there is no permit.
+    pub pulses_us: [f32; 4],
+    /// Whether the motors may turn.
+    pub state: ArmState,
+    /// What happened to the arm state in this step, if anything did.
+    pub event: Option<Event>,
+}
