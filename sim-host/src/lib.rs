@@ -1,1 +1,8 @@
+//! The world that Kestrel's flight code flies in: vehicle, sensors with their errors, pilot; and the
+//! recorded world: logs, and the estimators run over them.
+#![deny(unsafe_code)]
+#![warn(missing_docs)]
 
+pub mod input_error;
+pub mod log;
+pub mod output_file;
