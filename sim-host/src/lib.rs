@@ -6,3 +6,5 @@
 pub mod input_error;
 pub mod log;
 pub mod output_file;
+pub mod random;
+pub mod vehicle;

@@ -1,0 +1,181 @@
+//! Random numbers: one independent stream for each effect and axis.
+//!
+//! A stream is a xoshiro256++ generator whose seed is a hash of (scene seed, effect, axis). Switching an
+//! effect on or off therefore never moves another's draws.
+//!
+//! The normal distribution stands here, and not from a crate, because the tails of every published ziggurat
+//! call the C library's `exp` and `ln`, whose last bit depends on the processor. This one uses `libm`.
+
+use std::sync::OnceLock;
+
+use rand_xoshiro::Xoshiro256PlusPlus;
+use rand_xoshiro::rand_core::{Rng, SeedableRng};
+use xxhash_rust::xxh3::xxh3_64_with_seed;
+
+/// Layers of the ziggurat.
+const LAYERS: usize = 256;
+/// Where the lowest layer's rectangle ends (Marsaglia and Tsang, *The ziggurat method*, 2000).
+const R: f64 = 3.654_152_885_361_009;
+/// Area of each layer.
+const AREA: f64 = 4.928_673_233_974_655e-3;
+
+/// Edges x\[i\] of the layers, falling from the base to 0, and exp(−x²/2) there.
+struct Ziggurat {
+    x: [f64; LAYERS + 1],
+    density: [f64; LAYERS + 1],
+}
+
+fn density(x: f64) -> f64 {
+    libm::exp(-0.5 * x * x)
+}
+
+impl Ziggurat {
+    fn new() -> Self {
+        let mut x = [0.0; LAYERS + 1];
+        // The base layer is a rectangle as wide as if its tail were part of it.
+        x[0] = AREA / density(R);
+        x[1] = R;
+        for i in 2..LAYERS {
+            x[i] = libm::sqrt(-2.0 * libm::log(AREA / x[i - 1] + density(x[i - 1])));
+        }
+        Self { x, density: x.map(density) }
+    }
+
+    fn get() -> &'static Self {
+        static TABLES: OnceLock<Ziggurat> = OnceLock::new();
+        TABLES.get_or_init(Self::new)
+    }
+}
+
+/// A stream of standard normal numbers.
+#[derive(Clone)]
+pub struct NormalStream {
+    generator: Xoshiro256PlusPlus,
+    ziggurat: &'static Ziggurat,
+}
+
+impl NormalStream {
+    /// The stream of one axis of one effect in a scene with this seed.
+    pub fn new(seed: u64, effect: &str, axis: usize) -> Self {
+        let hash = xxh3_64_with_seed(effect.as_bytes(), seed);
+        let generator =
+            Xoshiro256PlusPlus::seed_from_u64(hash ^ (axis as u64).wrapping_mul(0x9E37_79B9_7F4A_7C15));
+        Self { generator, ziggurat: Ziggurat::get() }
+    }
+
+    /// Uniform in (0, 1].
+    fn uniform(&mut self) -> f64 {
+        ((self.generator.next_u64() >> 11) + 1) as f64 * (1.0 / (1_u64 << 53) as f64)
+    }
+
+    /// The next number.
+    #[inline]
+    pub fn draw(&mut self) -> f64 {
+        loop {
+            let bits = self.generator.next_u64();
+            let layer = (bits & 0xFF) as usize;
+            // The 53 high bits as a uniform in [−1, 1); the layer comes from others.
+            let u = ((bits as i64) >> 11) as f64 * (1.0 / (1_u64 << 52) as f64);
+            let x = u * self.ziggurat.x[layer];
+            if x.abs() < self.ziggurat.x[layer + 1] {
+                return x;
+            }
+            if let Some(x) = self.draw_outside(layer, x) {
+                return x;
+            }
+        }
+    }
+
+    /// The one time in 70 that a draw falls outside its layer's inner rectangle.
+    #[cold]
+    fn draw_outside(&mut self, layer: usize, x: f64) -> Option<f64> {
+        if layer == 0 {
+            // The tail beyond R (Marsaglia 1964).
+            loop {
+                let away = -libm::log(self.uniform()) / R;
+                let y = -libm::log(self.uniform());
+                if 2.0 * y >= away * away {
+                    return Some(if x < 0.0 { -R - away } else { R + away });
+                }
+            }
+        }
+        let (low, high) = (self.ziggurat.density[layer], self.ziggurat.density[layer + 1]);
+        (low + self.uniform() * (high - low) < density(x)).then_some(x)
+    }
+}
+
+impl std::fmt::Debug for NormalStream {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        self.generator.fmt(f)
+    }
+}
+
+/// Three independent streams, for the axes of a sensor.
+#[derive(Clone, Debug)]
+pub struct NormalStreams([NormalStream; 3]);
+
+impl NormalStreams {
+    /// The streams of an effect.
+    pub fn new(seed: u64, effect: &str) -> Self {
+        Self([0, 1, 2].map(|axis| NormalStream::new(seed, effect, axis)))
+    }
+
+    /// The next number of each.
+    #[inline]
+    pub fn draw(&mut self) -> flight_core::geometry::Vec3<f64> {
+        let [x, y, z] = &mut self.0;
+        flight_core::geometry::vec3(x.draw(), y.draw(), z.draw())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn layers_have_equal_areas_and_close_at_the_top() {
+        let z = Ziggurat::get();
+        for i in 1..LAYERS {
+            let area = z.x[i] * (z.density[i + 1] - z.density[i]);
+            assert!((area / AREA - 1.0).abs() < 1e-9, "layer {i}: {area}");
+        }
+    }
+
+    #[test]
+    fn moments_and_tails_are_those_of_the_normal_distribution() {
+        let mut stream = NormalStream::new(1, "test", 0);
+        let n = 4_000_000;
+        let (mut moments, mut beyond) = ([0.0; 4], [0_u32; 3]);
+        for _ in 0..n {
+            let x = stream.draw();
+            for (k, m) in moments.iter_mut().enumerate() {
+                *m += x.powi(k as i32 + 1);
+            }
+            for (k, count) in beyond.iter_mut().enumerate() {
+                *count += u32::from(x.abs() > [1.0, 3.0, R][k]);
+            }
+        }
+        let n = f64::from(n);
+        // Five standard errors each: √(1, 2, 15, 96)/√n.
+        for (got, (want, variance)) in
+            moments.iter().zip([(0.0, 1.0), (1.0, 2.0), (0.0, 15.0), (3.0, 96.0_f64)])
+        {
+            assert!((got / n - want).abs() < 5.0 * (variance / n).sqrt(), "{got} {want}");
+        }
+        // P(|x| > 1, 3, R), by erfc.
+        for (count, edge) in beyond.into_iter().zip([1.0, 3.0, R]) {
+            let p = libm::erfc(edge / 2.0_f64.sqrt());
+            assert!((f64::from(count) - p * n).abs() < 5.0 * (p * n).sqrt(), "beyond {edge}: {count}");
+        }
+    }
+
+    #[test]
+    fn streams_differ_by_seed_effect_and_axis_and_repeat() {
+        let first = |seed, effect, axis| NormalStream::new(seed, effect, axis).draw();
+        let all = [first(1, "a", 0), first(2, "a", 0), first(1, "b", 0), first(1, "a", 1)];
+        for (i, x) in all.iter().enumerate() {
+            assert!(all[..i].iter().all(|y| y != x));
+        }
+        assert_eq!(first(7, "gyro.white_noise", 2), first(7, "gyro.white_noise", 2));
+    }
+}

@@ -1,0 +1,354 @@
+//! The true motion of the quadrotor: eqs 8-14 as a rigid body.
+//!
+//! The paper's eqs 8-10 equate the accelerations of Euler angles with those of the body, which holds for
+//! small angles, and its eqs 11-12 have the sign of yaw reversed against 7-10 and 13. Here the body turns by
+//! Euler's equations with a quaternion, and the thrust points where the rotation matrix says:
+//!
+//! ```text
+//!  m a = R (0, 0, −U1) + m g − A v + ground         a: north, east, down
+//!  I ω̇ = (l U2, l U3, U4) − ω × I ω + (q, −p, 0) J_r Ω_r + ground
+//!  q̇   = ½ q ⊗ (0, ω)
+//!  Ω̇   = (Ω_wanted − Ω)/τ
+//! ```
+//!
+//! A step is a classical Runge-Kutta step of 4th order in position, velocity, attitude and rate. The rotors'
+//! lag does not depend on them, so the rotor speeds inside a step are known exactly, however short τ is.
+//! Everything is f64.
+
+mod ground;
+
+use flight_core::geometry::{Mat3, Quaternion, Vec3, vec3};
+
+pub use ground::Ground;
+
+/// Standard gravity, m/s².
+pub const GRAVITY: f64 = 9.80665;
+
+/// What the vehicle is made of (symbols of the paper's table 1).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct VehicleParams {
+    /// m, kg.
+    pub mass_kg: f64,
+    /// I_xx, I_yy, I_zz, kg·m².
+    pub inertia_kg_m2: Vec3<f64>,
+    /// J_r, kg·m².
+    pub rotor_inertia_kg_m2: f64,
+    /// l, m.
+    pub arm_m: f64,
+    /// b, N·s².
+    pub thrust_coefficient: f64,
+    /// d, N·m·s².
+    pub torque_coefficient: f64,
+    /// Speed of a rotor at full pulse, rad/s.
+    pub max_rad_s: f64,
+    /// Feet below the centre of gravity, m.
+    pub leg_m: f64,
+}
+
+impl VehicleParams {
+    /// OS4 (Bouabdallah, EPFL thesis 3727, 2007). The maximum rotor speed (thrust to weight 2) and the legs
+    /// are our own choice.
+    pub const OS4: Self = Self {
+        mass_kg: 0.65,
+        inertia_kg_m2: vec3(7.5e-3, 7.5e-3, 1.3e-2),
+        rotor_inertia_kg_m2: 6.0e-5,
+        arm_m: 0.23,
+        thrust_coefficient: 3.13e-5,
+        torque_coefficient: 7.5e-7,
+        max_rad_s: 319.0,
+        leg_m: 0.05,
+    };
+
+    /// Thrust of all rotors at full speed, N.
+    pub fn max_thrust_n(&self) -> f64 {
+        4.0 * self.thrust_coefficient * self.max_rad_s * self.max_rad_s
+    }
+}
+
+/// A force or torque on the body that a scene calls for.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum BodyEffect {
+    /// A of eqs 11-13: force −A v, per world axis, kg/s.
+    LinearDrag(Vec3<f64>),
+    /// J_r of eqs 8-9: torque (q, −p, 0) J_r Ω_r of the spinning rotors. J_r in kg·m².
+    RotorGyroscopic(f64),
+}
+
+/// How the vehicle is held.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Mount {
+    /// Free, over a ground plane.
+    Free(Ground),
+    /// The centre of gravity is fixed and the body turns about it: a test stand.
+    BallJoint,
+}
+
+/// Where the vehicle is and how it moves.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct State {
+    /// North, east, down, m. The ground is at 0.
+    pub position: Vec3<f64>,
+    /// North, east, down, m/s.
+    pub velocity: Vec3<f64>,
+    /// Body to world.
+    pub attitude: Quaternion<f64>,
+    /// Body rates, rad/s.
+    pub rates: Vec3<f64>,
+}
+
+impl State {
+    fn moved(&self, slope: &Slope, h: f64) -> Self {
+        let turned = Quaternion {
+            w: self.attitude.w + slope.attitude.w * h,
+            v: self.attitude.v + slope.attitude.v * h,
+        };
+        Self {
+            position: self.position + slope.velocity * h,
+            velocity: self.velocity + slope.acceleration * h,
+            attitude: turned,
+            rates: self.rates + slope.angular_acceleration * h,
+        }
+    }
+
+    /// Cosine of the angle between the body's and the world's down.
+    pub fn cos_tilt(&self) -> f64 {
+        self.attitude.down().z
+    }
+
+    /// Whether every number is finite.
+    pub fn is_finite(&self) -> bool {
+        let sum = self.position.dot(Vec3::X + Vec3::Z)
+            + self.position.y
+            + self.velocity.norm()
+            + self.attitude.norm_squared()
+            + self.rates.norm();
+        sum.is_finite()
+    }
+}
+
+/// Time derivative of a [`State`].
+#[derive(Clone, Copy, Debug)]
+struct Slope {
+    velocity: Vec3<f64>,
+    acceleration: Vec3<f64>,
+    attitude: Quaternion<f64>,
+    angular_acceleration: Vec3<f64>,
+}
+
+/// The vehicle and its state.
+#[derive(Clone, Debug)]
+pub struct Vehicle {
+    params: VehicleParams,
+    mount: Mount,
+    effects: Vec<BodyEffect>,
+    /// exp(−h/2τ) for a half step and its square for a whole one; both 0 without lag.
+    lag_half: f64,
+    step_s: f64,
+    state: State,
+    rotors: [f64; 4],
+    wanted: [f64; 4],
+    /// Slope at the present state, for the sensors and the next step.
+    slope: Slope,
+    /// Precomputed: b, l b/√2, 1/m, 1/I.
+    tilt_lever: f64,
+    per_mass: f64,
+    per_inertia: Vec3<f64>,
+}
+
+impl Vehicle {
+    /// A vehicle at rest: on the ground, or level on its ball joint. `motor_lag_s` is the rotors' time
+    /// constant, `step_s` the length of a step.
+    pub fn at_rest(
+        params: VehicleParams,
+        mount: Mount,
+        effects: Vec<BodyEffect>,
+        motor_lag_s: Option<f64>,
+        step_s: f64,
+    ) -> Self {
+        let down = match mount {
+            Mount::Free(ground) => ground.rest_position_m(&params),
+            Mount::BallJoint => 0.0,
+        };
+        let mut vehicle = Self {
+            params,
+            mount,
+            effects,
+            lag_half: motor_lag_s.map_or(0.0, |tau_s| libm::exp(-0.5 * step_s / tau_s)),
+            step_s,
+            state: State {
+                position: vec3(0.0, 0.0, down),
+                velocity: Vec3::ZERO,
+                attitude: Quaternion::IDENTITY,
+                rates: Vec3::ZERO,
+            },
+            rotors: [0.0; 4],
+            wanted: [0.0; 4],
+            slope: Slope {
+                velocity: Vec3::ZERO,
+                acceleration: Vec3::ZERO,
+                attitude: Quaternion::new(0.0, 0.0, 0.0, 0.0),
+                angular_acceleration: Vec3::ZERO,
+            },
+            tilt_lever: params.arm_m * params.thrust_coefficient * std::f64::consts::FRAC_1_SQRT_2,
+            per_mass: 1.0 / params.mass_kg,
+            per_inertia: vec3(
+                1.0 / params.inertia_kg_m2.x,
+                1.0 / params.inertia_kg_m2.y,
+                1.0 / params.inertia_kg_m2.z,
+            ),
+        };
+        vehicle.slope = vehicle.slope_at(&vehicle.state, &vehicle.rotors);
+        vehicle
+    }
+
+    /// The present state.
+    #[inline]
+    pub fn state(&self) -> &State {
+        &self.state
+    }
+
+    /// Puts the vehicle into a state, as tests do.
+    pub fn set_state(&mut self, state: State, rotors: [f64; 4]) {
+        self.state = state;
+        self.rotors = rotors;
+        self.slope = self.slope_at(&self.state, &self.rotors);
+    }
+
+    /// Rotor speeds, rad/s.
+    #[inline]
+    pub fn rotors(&self) -> [f64; 4] {
+        self.rotors
+    }
+
+    /// Specific force f = a − g in body axes, m/s²: what a perfect accelerometer at the centre of gravity
+    /// reads now.
+    #[inline]
+    pub fn specific_force(&self) -> Vec3<f64> {
+        let f = self.slope.acceleration - vec3(0.0, 0.0, GRAVITY);
+        self.state.attitude.to_matrix().transpose() * f
+    }
+
+    /// Acceleration of the centre of gravity, north, east, down, m/s².
+    pub fn acceleration(&self) -> Vec3<f64> {
+        self.slope.acceleration
+    }
+
+    /// Angular acceleration in body axes, rad/s².
+    pub fn angular_acceleration(&self) -> Vec3<f64> {
+        self.slope.angular_acceleration
+    }
+
+    /// Whether a foot touches the ground.
+    pub fn touches_ground(&self) -> bool {
+        match self.mount {
+            Mount::Free(ground) => ground.touches(&self.params, &self.state),
+            Mount::BallJoint => false,
+        }
+    }
+
+    /// Sets the speeds that the ESCs ask of the rotors, rad/s.
+    #[inline]
+    pub fn command(&mut self, wanted: [f64; 4]) {
+        self.wanted = wanted;
+        if self.lag_half == 0.0 {
+            self.rotors = wanted;
+            self.slope = self.slope_at(&self.state, &self.rotors);
+        }
+    }
+
+    /// Moves on by one step.
+    #[inline]
+    pub fn advance(&mut self) {
+        let h = self.step_s;
+        let middle = self.lagged(self.lag_half);
+        let end = self.lagged(self.lag_half * self.lag_half);
+        let at = self.state;
+
+        let k1 = self.slope;
+        let k2 = self.slope_at(&at.moved(&k1, 0.5 * h), &middle);
+        let k3 = self.slope_at(&at.moved(&k2, 0.5 * h), &middle);
+        let k4 = self.slope_at(&at.moved(&k3, h), &end);
+
+        let sixth = h / 6.0;
+        let mean = |f: fn(&Slope) -> Vec3<f64>| (f(&k1) + (f(&k2) + f(&k3)) * 2.0 + f(&k4)) * sixth;
+        let turn_w = (k1.attitude.w + (k2.attitude.w + k3.attitude.w) * 2.0 + k4.attitude.w) * sixth;
+        let attitude =
+            Quaternion { w: at.attitude.w + turn_w, v: at.attitude.v + mean(|k| k.attitude.v) }.normalized();
+        self.state = State {
+            position: at.position + mean(|k| k.velocity),
+            velocity: at.velocity + mean(|k| k.acceleration),
+            attitude,
+            rates: at.rates + mean(|k| k.angular_acceleration),
+        };
+        self.rotors = end;
+        self.slope = self.slope_at(&self.state, &self.rotors);
+    }
+
+    /// Rotor speeds after a time in which the lag has decayed to `left`.
+    #[inline(always)]
+    fn lagged(&self, left: f64) -> [f64; 4] {
+        let mut rotors = self.rotors;
+        for (rotor, wanted) in rotors.iter_mut().zip(self.wanted) {
+            *rotor = wanted + (*rotor - wanted) * left;
+        }
+        rotors
+    }
+
+    #[inline(always)]
+    fn slope_at(&self, state: &State, rotors: &[f64; 4]) -> Slope {
+        let p = &self.params;
+        let [s1, s2, s3, s4] = rotors.map(|speed| speed * speed);
+        let matrix = state.attitude.to_matrix();
+        let thrust = p.thrust_coefficient * (s1 + s2 + s3 + s4);
+        let mut force = thrust_direction(&matrix) * -thrust;
+        let mut torque = vec3(
+            self.tilt_lever * (s1 - s2 - s3 + s4),
+            self.tilt_lever * (s1 + s2 - s3 - s4),
+            p.torque_coefficient * (s1 - s2 + s3 - s4),
+        ) - state.rates.cross(state.rates.scale_by(p.inertia_kg_m2));
+
+        for effect in &self.effects {
+            match effect {
+                BodyEffect::LinearDrag(a) => force = force - a.scale_by(state.velocity),
+                BodyEffect::RotorGyroscopic(j) => {
+                    let [w1, w2, w3, w4] = *rotors;
+                    let h = j * (w1 - w2 + w3 - w4); // J_r Ω_r, eq 14
+                    torque += vec3(state.rates.y * h, -state.rates.x * h, 0.0);
+                }
+            }
+        }
+        let acceleration = match &self.mount {
+            Mount::BallJoint => Vec3::ZERO,
+            Mount::Free(ground) => {
+                if ground.is_near(p, state) {
+                    let contact = ground.contact(p, state, &matrix);
+                    force += contact.force;
+                    torque += contact.torque;
+                }
+                force * self.per_mass + vec3(0.0, 0.0, GRAVITY)
+            }
+        };
+        let Vec3 { x: p_rate, y: q_rate, z: r_rate } = state.rates * 0.5;
+        let [w, x, y, z] = state.attitude.to_array();
+        Slope {
+            velocity: state.velocity,
+            acceleration,
+            attitude: Quaternion::new(
+                -x * p_rate - y * q_rate - z * r_rate,
+                w * p_rate + y * r_rate - z * q_rate,
+                w * q_rate + z * p_rate - x * r_rate,
+                w * r_rate + x * q_rate - y * p_rate,
+            ),
+            angular_acceleration: torque.scale_by(self.per_inertia),
+        }
+    }
+}
+
+/// The body's z axis in the world: thrust points the other way.
+#[inline(always)]
+fn thrust_direction(matrix: &Mat3<f64>) -> Vec3<f64> {
+    vec3(matrix[0].z, matrix[1].z, matrix[2].z)
+}
+
+#[cfg(test)]
+mod tests;

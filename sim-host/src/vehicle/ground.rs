@@ -1,0 +1,91 @@
+//! The ground plane: four feet on springs and dampers, with friction.
+//!
+//! Feet stand below the rotors. A foot at depth z > 0 moving at v is pushed up with k z + c v_z (never
+//! pulled down) and held back with μ times that, fading to zero with the sliding speed so that rest is rest.
+
+use flight_core::geometry::{Mat3, Vec3, vec3};
+
+use super::{GRAVITY, State, VehicleParams};
+
+/// The ground and the legs that meet it.
+///
+/// Stiffness and damping scale with the vehicle's weight: at rest the legs give by 1 mm, and a bounce dies
+/// within half a period. For OS4: k = 1,594 N/m and c = 23 N·s/m a foot; the fastest mode is the roll of a
+/// vehicle on its feet, at 160 rad/s, well inside what a 1 ms step resolves.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Ground {
+    stiffness_n_m: f64,
+    damping_n_s_m: f64,
+}
+
+/// Depth of a foot under its share of the weight, m.
+const REST_DEPTH_M: f64 = 0.001;
+
+/// Friction coefficient of rubber feet on dry ground.
+const FRICTION: f64 = 0.6;
+
+/// Sliding speed at which friction has risen to 70 % of its value, m/s.
+const CREEP_M_S: f64 = 0.05;
+
+/// What the ground does to the body.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Contact {
+    /// N, world axes.
+    pub force: Vec3<f64>,
+    /// N·m, body axes, about the centre of gravity.
+    pub torque: Vec3<f64>,
+}
+
+impl Ground {
+    /// Ground and legs for a vehicle.
+    pub fn new(params: &VehicleParams) -> Self {
+        let share = params.mass_kg / 4.0;
+        let stiffness_n_m = share * GRAVITY / REST_DEPTH_M;
+        // 0.7 of critical.
+        let damping_n_s_m = 1.4 * libm::sqrt(stiffness_n_m * share);
+        Self { stiffness_n_m, damping_n_s_m }
+    }
+
+    /// Position of the centre of gravity at rest, m down (negative).
+    pub(super) fn rest_position_m(&self, params: &VehicleParams) -> f64 {
+        REST_DEPTH_M - params.leg_m
+    }
+
+    /// Whether a foot could touch in any attitude: the only work that flight does for the ground.
+    #[inline(always)]
+    pub(super) fn is_near(&self, params: &VehicleParams, state: &State) -> bool {
+        state.position.z > -(params.arm_m + params.leg_m)
+    }
+
+    pub(super) fn touches(&self, params: &VehicleParams, state: &State) -> bool {
+        let matrix = state.attitude.to_matrix();
+        self.is_near(params, state)
+            && feet(params).iter().any(|foot| state.position.z + matrix[2].dot(*foot) > 0.0)
+    }
+
+    pub(super) fn contact(&self, params: &VehicleParams, state: &State, matrix: &Mat3<f64>) -> Contact {
+        let mut contact = Contact { force: Vec3::ZERO, torque: Vec3::ZERO };
+        for foot in feet(params) {
+            let depth = state.position.z + matrix[2].dot(foot);
+            if depth <= 0.0 {
+                continue;
+            }
+            let velocity = state.velocity + *matrix * state.rates.cross(foot);
+            let push = (self.stiffness_n_m * depth + self.damping_n_s_m * velocity.z).max(0.0);
+            let sliding =
+                libm::sqrt(velocity.x * velocity.x + velocity.y * velocity.y + CREEP_M_S * CREEP_M_S);
+            let hold = FRICTION * push / sliding;
+            let force = vec3(-hold * velocity.x, -hold * velocity.y, -push);
+            contact.force += force;
+            contact.torque += foot.cross(matrix.transpose() * force);
+        }
+        contact
+    }
+}
+
+/// The feet in body axes, m: below the rotors.
+fn feet(params: &VehicleParams) -> [Vec3<f64>; 4] {
+    let reach = params.arm_m * std::f64::consts::FRAC_1_SQRT_2;
+    [(1.0, -1.0), (1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0)]
+        .map(|(x, y)| vec3(x * reach, y * reach, params.leg_m))
+}
