@@ -32,13 +32,7 @@ pub struct InputError {
 impl InputError {
     /// An error that so far says only what is allowed, or what went wrong.
     pub fn new(allowed: impl Into<String>) -> Self {
-        Self {
-            file: None,
-            line: None,
-            field: None,
-            value: None,
-            allowed: allowed.into(),
-        }
+        Self { file: None, line: None, field: None, value: None, allowed: allowed.into() }
     }
 
     /// The file it is in.
@@ -85,11 +79,7 @@ impl fmt::Display for InputError {
         if let Some(value) = &self.value {
             f.write_str(if self.field.is_some() { " = " } else { "" })?;
             // An empty cell would otherwise read as if the message had lost a word.
-            on_one_line(
-                f,
-                if value.is_empty() { "\"\"" } else { value },
-                LONGEST_VALUE,
-            )?;
+            on_one_line(f, if value.is_empty() { "\"\"" } else { value }, LONGEST_VALUE)?;
         }
         if self.field.is_some() || self.value.is_some() {
             f.write_str(": ")?;
@@ -128,15 +118,9 @@ mod tests {
             (allowed().line(3), "line 3: must be finite"),
             (allowed().file("a.csv").line(3), "a.csv:3: must be finite"),
             (allowed().field("--seed"), "--seed: must be finite"),
-            (
-                allowed().field("--seed").value("x"),
-                "--seed = x: must be finite",
-            ),
+            (allowed().field("--seed").value("x"), "--seed = x: must be finite"),
             (allowed().value("x"), "x: must be finite"),
-            (
-                allowed().file("a.csv").line(3).field("t").value(""),
-                "a.csv:3: t = \"\": must be finite",
-            ),
+            (allowed().file("a.csv").line(3).field("t").value(""), "a.csv:3: t = \"\": must be finite"),
         ] {
             assert_eq!(error.to_string(), line);
         }
@@ -144,19 +128,10 @@ mod tests {
 
     #[test]
     fn stays_one_short_line() {
-        let error = InputError::new("must be\na number")
-            .file("a\nb")
-            .line(1)
-            .field("c\r")
-            .value("\u{1b}[2J\u{2028}");
-        assert_eq!(
-            error.to_string(),
-            "a\\nb:1: c\\r = \\u{1b}[2J\\u{2028}: must be\\na number"
-        );
+        let error =
+            InputError::new("must be\na number").file("a\nb").line(1).field("c\r").value("\u{1b}[2J\u{2028}");
+        assert_eq!(error.to_string(), "a\\nb:1: c\\r = \\u{1b}[2J\\u{2028}: must be\\na number");
         let long = InputError::new("short").value("9".repeat(1000)).to_string();
-        assert_eq!(
-            long.chars().count(),
-            LONGEST_VALUE + "…: short".chars().count()
-        );
+        assert_eq!(long.chars().count(), LONGEST_VALUE + "…: short".chars().count());
     }
 }

@@ -137,15 +137,9 @@ mod tests {
     /// A body vector in the world's axes: the textbook's rotation matrix, independent of the product form.
     fn rotate([w, x, y, z]: [f64; 4], [a, b, c]: [f64; 3]) -> [f64; 3] {
         [
-            (w * w + x * x - y * y - z * z) * a
-                + 2.0 * (x * y - w * z) * b
-                + 2.0 * (x * z + w * y) * c,
-            2.0 * (x * y + w * z) * a
-                + (w * w - x * x + y * y - z * z) * b
-                + 2.0 * (y * z - w * x) * c,
-            2.0 * (x * z - w * y) * a
-                + 2.0 * (y * z + w * x) * b
-                + (w * w - x * x - y * y + z * z) * c,
+            (w * w + x * x - y * y - z * z) * a + 2.0 * (x * y - w * z) * b + 2.0 * (x * z + w * y) * c,
+            2.0 * (x * y + w * z) * a + (w * w - x * x + y * y - z * z) * b + 2.0 * (y * z - w * x) * c,
+            2.0 * (x * z - w * y) * a + 2.0 * (y * z + w * x) * b + (w * w - x * x - y * y + z * z) * c,
         ]
     }
 
@@ -165,12 +159,7 @@ mod tests {
                 0.730_296_743_340_221_4,
             ],
         ] {
-            for v in [
-                [1.0, 0.0, 0.0],
-                [0.0, 1.0, 0.0],
-                [0.0, 0.0, 1.0],
-                [0.3, -2.0, 0.7],
-            ] {
+            for v in [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.3, -2.0, 0.7]] {
                 let [east, north, up] = rotate(q, v);
                 let converted = rotate(enu_to_ned(q), half_turn_about_x(v));
                 for (a, b) in converted.into_iter().zip([north, east, -up]) {
@@ -185,10 +174,7 @@ mod tests {
         let r = core::f64::consts::FRAC_1_SQRT_2;
         assert_eq!(enu_to_ned([1.0, 0.0, 0.0, 0.0]), [r, 0.0, 0.0, r]);
         // Turned left by 90° it faces north.
-        for (a, b) in enu_to_ned([r, 0.0, 0.0, r])
-            .into_iter()
-            .zip([1.0, 0.0, 0.0, 0.0])
-        {
+        for (a, b) in enu_to_ned([r, 0.0, 0.0, r]).into_iter().zip([1.0, 0.0, 0.0, 0.0]) {
             assert!((a - b).abs() < 1e-15);
         }
     }

@@ -47,10 +47,7 @@ impl OutputFile {
     pub fn create(path: impl AsRef<Path>) -> Result<Self, InputError> {
         let path = path.as_ref().to_path_buf();
         let sink = open(&path).map_err(|error| cannot_write(&path, &error))?;
-        Ok(Self {
-            sink: BufWriter::with_capacity(1 << 16, sink),
-            path,
-        })
+        Ok(Self { sink: BufWriter::with_capacity(1 << 16, sink), path })
     }
 
     /// Puts everything on the disk and gives the file its name.
@@ -62,8 +59,7 @@ impl OutputFile {
                     // First the content, then the name: after a power cut the name must not stand on an
                     // empty file.
                     file.as_file().sync_all()?;
-                    file.persist(end_of_links(&path)?)
-                        .map_err(|error| error.error)?;
+                    file.persist(end_of_links(&path)?).map_err(|error| error.error)?;
                     Ok(())
                 }
                 Sink::Direct(mut file) => file.flush(),
@@ -117,11 +113,7 @@ fn open(path: &Path) -> io::Result<Sink> {
 
 /// Where a symbolic link leads, so that the link stays and its target is replaced.
 fn end_of_links(path: &Path) -> io::Result<PathBuf> {
-    if path.exists() {
-        fs::canonicalize(path)
-    } else {
-        Ok(path.to_path_buf())
-    }
+    if path.exists() { fs::canonicalize(path) } else { Ok(path.to_path_buf()) }
 }
 
 #[cfg(test)]
@@ -139,11 +131,7 @@ mod tests {
         abandoned.flush().unwrap();
         assert_eq!(fs::read_to_string(&path).unwrap(), "old");
         drop(abandoned);
-        assert_eq!(
-            fs::read_dir(directory.path()).unwrap().count(),
-            1,
-            "the temporary file is gone"
-        );
+        assert_eq!(fs::read_dir(directory.path()).unwrap().count(), 1, "the temporary file is gone");
 
         let mut whole = OutputFile::create(&path).unwrap();
         whole.write_all(b"new").unwrap();
@@ -154,15 +142,9 @@ mod tests {
     #[test]
     fn a_place_that_cannot_be_written_is_named_in_one_line() {
         let directory = tempfile::tempdir().unwrap();
-        for path in [
-            directory.path().to_path_buf(),
-            directory.path().join("missing/log.csv"),
-        ] {
+        for path in [directory.path().to_path_buf(), directory.path().join("missing/log.csv")] {
             let error = OutputFile::create(&path).unwrap_err().to_string();
-            assert!(
-                error.starts_with(&format!("{}: cannot be written: ", path.display())),
-                "{error}"
-            );
+            assert!(error.starts_with(&format!("{}: cannot be written: ", path.display())), "{error}");
             assert_eq!(error.lines().count(), 1);
         }
     }
@@ -171,10 +153,7 @@ mod tests {
     #[test]
     fn a_symbolic_link_stays_and_its_target_is_replaced() {
         let directory = tempfile::tempdir().unwrap();
-        let (target, link) = (
-            directory.path().join("target"),
-            directory.path().join("link"),
-        );
+        let (target, link) = (directory.path().join("target"), directory.path().join("link"));
         fs::write(&target, "old").unwrap();
         std::os::unix::fs::symlink(&target, &link).unwrap();
         let mut file = OutputFile::create(&link).unwrap();
@@ -190,13 +169,7 @@ mod tests {
         use std::os::unix::fs::FileTypeExt as _;
         let directory = tempfile::tempdir().unwrap();
         let pipe = directory.path().join("pipe");
-        assert!(
-            std::process::Command::new("mkfifo")
-                .arg(&pipe)
-                .status()
-                .unwrap()
-                .success()
-        );
+        assert!(std::process::Command::new("mkfifo").arg(&pipe).status().unwrap().success());
         let reader = std::thread::spawn({
             let pipe = pipe.clone();
             move || fs::read_to_string(pipe).unwrap()

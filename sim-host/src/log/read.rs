@@ -37,9 +37,7 @@ impl Log {
         let path = reader.path.clone();
         let rows = reader.collect::<Result<Vec<_>, _>>()?;
         if rows.is_empty() {
-            return Err(
-                InputError::new("a log must have at least one row below its header").file(path),
-            );
+            return Err(InputError::new("a log must have at least one row below its header").file(path));
         }
         Ok(Self { rows })
     }
@@ -94,37 +92,22 @@ impl<R: Read> LogReader<R> {
     pub fn new(source: R, path: impl AsRef<Path>, axes: Axes) -> Result<Self, InputError> {
         let path = path.as_ref().to_path_buf();
         let mut records = Records::new(source);
-        if !records
-            .advance()
-            .map_err(|error| unreadable(&path, &error))?
-        {
-            return Err(
-                InputError::new("the file is empty: a log must begin with a header row").file(path),
-            );
+        if !records.advance().map_err(|error| unreadable(&path, &error))? {
+            return Err(InputError::new("the file is empty: a log must begin with a header row").file(path));
         }
-        let columns = Columns::find(&records.current)
-            .map_err(|error| error.line(records.line()).file(&path))?;
+        let columns =
+            Columns::find(&records.current).map_err(|error| error.line(records.line()).file(&path))?;
         let width = records.current.len();
-        Ok(Self {
-            records,
-            path,
-            axes,
-            columns,
-            width,
-            last_us: None,
-            ended: false,
-        })
+        Ok(Self { records, path, axes, columns, width, last_us: None, ended: false })
     }
 
     /// The current record as a row in the project's axes; errors don't know file and line yet.
     fn row(&mut self) -> Result<LogRow, InputError> {
         let cells = &self.records.current;
         if cells.len() != self.width {
-            return Err(
-                InputError::new(format!("must be {}, as in the header", self.width))
-                    .field("number of cells")
-                    .value(cells.len()),
-            );
+            return Err(InputError::new(format!("must be {}, as in the header", self.width))
+                .field("number of cells")
+                .value(cells.len()));
         }
         let columns = &self.columns;
         let row = LogRow {
@@ -135,9 +118,7 @@ impl<R: Read> LogReader<R> {
             reference: optional(cells, REFERENCE, columns.reference, 1.0 + NORM_TOLERANCE)?
                 .map(rotation)
                 .transpose()?,
-            moving: columns
-                .moving
-                .map_or(Ok(true), |column| flag(cells, "moving", column))?,
+            moving: columns.moving.map_or(Ok(true), |column| flag(cells, "moving", column))?,
         };
         let now_us = row.time_us();
         if let Some(last_us) = self.last_us
@@ -164,10 +145,7 @@ impl<R: Read> Iterator for LogReader<R> {
         }
         let row = match self.records.advance() {
             Ok(false) => None,
-            Ok(true) => Some(
-                self.row()
-                    .map_err(|error| error.line(self.records.line()).file(&self.path)),
-            ),
+            Ok(true) => Some(self.row().map_err(|error| error.line(self.records.line()).file(&self.path))),
             Err(error) => Some(Err(unreadable(&self.path, &error))),
         };
         self.ended = !matches!(row, Some(Ok(_)));
@@ -193,10 +171,7 @@ impl<R: Read> Records<R> {
             .terminator(csv::Terminator::Any(b'\n'))
             .trim(csv::Trim::All)
             .from_reader(source.chain(b"\n".as_slice()));
-        Self {
-            csv,
-            current: ByteRecord::new(),
-        }
+        Self { csv, current: ByteRecord::new() }
     }
 
     /// Goes to the next record that isn't blank; false at the end of the file.
@@ -214,12 +189,7 @@ impl<R: Read> Records<R> {
     /// The line that the current record begins in, counted from 1. (The position that the record carries
     /// is where the blank lines before it begin.)
     fn line(&self) -> u64 {
-        let inside = self
-            .current
-            .as_slice()
-            .iter()
-            .filter(|&&byte| byte == b'\n')
-            .count() as u64;
+        let inside = self.current.as_slice().iter().filter(|&&byte| byte == b'\n').count() as u64;
         self.csv.position().line().saturating_sub(1 + inside)
     }
 }
@@ -232,12 +202,7 @@ const REFERENCE: [&str; 4] = [COLUMNS[10], COLUMNS[11], COLUMNS[12], COLUMNS[13]
 impl Columns {
     fn find(header: &ByteRecord) -> Result<Self, InputError> {
         for name in COLUMNS {
-            if header
-                .iter()
-                .filter(|cell| *cell == name.as_bytes())
-                .count()
-                > 1
-            {
+            if header.iter().filter(|cell| *cell == name.as_bytes()).count() > 1 {
                 return Err(InputError::new("the column must stand in the header once").field(name));
             }
         }
@@ -281,11 +246,8 @@ fn all_or_none<const N: usize>(
     }
     all_of(names, |name| {
         position(name).ok_or_else(|| {
-            InputError::new(format!(
-                "the column is missing: must be all of {}, or none",
-                names.join(", ")
-            ))
-            .field(name)
+            InputError::new(format!("the column is missing: must be all of {}, or none", names.join(", ")))
+                .field(name)
         })
     })
     .map(Some)
@@ -345,9 +307,7 @@ fn flag(cells: &ByteRecord, name: &str, column: usize) -> Result<bool, InputErro
     match &cells[column] {
         b"0" => Ok(false),
         b"1" => Ok(true),
-        cell => Err(InputError::new("must be 0 or 1")
-            .field(name)
-            .value(text(cell))),
+        cell => Err(InputError::new("must be 0 or 1").field(name).value(text(cell))),
     }
 }
 
@@ -356,11 +316,9 @@ fn rotation(q: [f64; 4]) -> Result<[f64; 4], InputError> {
     let norm = libm::sqrt(q.iter().map(|c| c * c).sum());
     if (norm - 1.0).abs() > NORM_TOLERANCE {
         let (least, most) = (1.0 - NORM_TOLERANCE, 1.0 + NORM_TOLERANCE);
-        return Err(
-            InputError::new(format!("must have a norm from {least} to {most}"))
-                .field("ref_qw, ref_qx, ref_qy, ref_qz")
-                .value(format_args!("{}, {}, {}, {}", q[0], q[1], q[2], q[3])),
-        );
+        return Err(InputError::new(format!("must have a norm from {least} to {most}"))
+            .field("ref_qw, ref_qx, ref_qy, ref_qz")
+            .value(format_args!("{}, {}, {}, {}", q[0], q[1], q[2], q[3])));
     }
     Ok(q.map(|c| c / norm))
 }
@@ -391,11 +349,8 @@ mod tests {
 
     #[test]
     fn empty_cells_are_unknown() {
-        let log = read(&with_rows(&[
-            "0,1,2,3,4,5,6,7,8,9,1,0,0,0,0",
-            "0.0035,1,2,3,4,5,6,,,,,,,,1",
-        ]))
-        .unwrap();
+        let log =
+            read(&with_rows(&["0,1,2,3,4,5,6,7,8,9,1,0,0,0,0", "0.0035,1,2,3,4,5,6,,,,,,,,1"])).unwrap();
         assert_eq!(
             log.rows,
             [
@@ -428,10 +383,7 @@ mod tests {
         )
         .unwrap();
         let row = log.rows[0];
-        assert_eq!(
-            (row.time_s, row.gyro_rad_s, row.accel_m_s2),
-            (-1e-3, [1.0, 2.0, 3.0], [4.0, 5.0, 6.0])
-        );
+        assert_eq!((row.time_s, row.gyro_rad_s, row.accel_m_s2), (-1e-3, [1.0, 2.0, 3.0], [4.0, 5.0, 6.0]));
         assert_eq!((row.mag_ut, row.reference, row.moving), (None, None, true));
         assert_eq!(log.mean_interval_s(), None);
     }
@@ -446,24 +398,11 @@ mod tests {
     #[test]
     fn axes_reach_the_rows() {
         let text = with_rows(&["0,1,2,3,4,5,9.81,7,8,9,1,0,0,0,0"]);
-        let axes = Axes {
-            frame: Frame::Enu,
-            accel_sign: AccelSign::Reaction,
-        };
-        let row = LogReader::new(text.as_bytes(), "log.csv", axes)
-            .unwrap()
-            .next()
-            .unwrap()
-            .unwrap();
-        assert_eq!(
-            (row.gyro_rad_s, row.accel_m_s2),
-            ([1.0, -2.0, -3.0], [4.0, -5.0, -9.81])
-        );
+        let axes = Axes { frame: Frame::Enu, accel_sign: AccelSign::Reaction };
+        let row = LogReader::new(text.as_bytes(), "log.csv", axes).unwrap().next().unwrap().unwrap();
+        assert_eq!((row.gyro_rad_s, row.accel_m_s2), ([1.0, -2.0, -3.0], [4.0, -5.0, -9.81]));
         assert_eq!(row.mag_ut, Some([7.0, -8.0, -9.0]));
-        assert_eq!(
-            row.reference.map(|q| q[0] == q[3] && q[1] == 0.0),
-            Some(true)
-        );
+        assert_eq!(row.reference.map(|q| q[0] == q[3] && q[1] == 0.0), Some(true));
     }
 
     #[test]
@@ -559,10 +498,7 @@ mod tests {
             );
         }
         let missing = read("\n\ntime_s\n").unwrap_err().to_string();
-        assert!(
-            missing.starts_with("log.csv:3: gyro_x_rad_s: "),
-            "{missing}"
-        );
+        assert!(missing.starts_with("log.csv:3: gyro_x_rad_s: "), "{missing}");
     }
 
     #[test]
@@ -579,15 +515,9 @@ mod tests {
     #[test]
     fn a_file_that_cannot_be_read_is_named() {
         let directory = tempfile::tempdir().unwrap();
-        for path in [
-            directory.path().join("none.csv"),
-            directory.path().to_path_buf(),
-        ] {
+        for path in [directory.path().join("none.csv"), directory.path().to_path_buf()] {
             let error = Log::read(&path, Axes::default()).unwrap_err().to_string();
-            assert!(
-                error.starts_with(&format!("{}: cannot be read: ", path.display())),
-                "{error}"
-            );
+            assert!(error.starts_with(&format!("{}: cannot be read: ", path.display())), "{error}");
         }
     }
 }

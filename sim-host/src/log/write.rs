@@ -22,10 +22,7 @@ impl LogWriter {
     /// Begins the log that will be `path`.
     pub fn create(path: impl AsRef<Path>) -> Result<Self, InputError> {
         let file = OutputFile::create(path)?;
-        let mut writer = Self {
-            file,
-            line: COLUMNS.join(","),
-        };
+        let mut writer = Self { file, line: COLUMNS.join(",") };
         writer.end_line()?;
         Ok(writer)
     }
