@@ -9,7 +9,7 @@
 //! | [`sin_cos`] | ±π (usable to ±8,192) | 2 ulp |
 //! | [`atan2`] | all finite | 4e-7 rad |
 //! | [`sqrt`] | all | correctly rounded |
-//! | [`wrap_pi`] | ±100 rad | 1 ulp of the argument |
+//! | [`wrap_pi`] | ±1,000 rad | 1 ulp of the argument |
 
 use core::f32::consts::{FRAC_PI_2, PI, TAU};
 
@@ -97,7 +97,7 @@ pub fn atan2(y: f32, x: f32) -> f32 {
     if y < 0.0 { -half_plane } else { half_plane }
 }
 
-/// `x` (rad, |x| ≤ 100) less the whole turns nearest to it: an angle in [−π, π].
+/// `x` (rad, |x| ≤ 1,000) less the whole turns nearest to it: an angle in [−π, π].
 #[inline(always)]
 pub fn wrap_pi(x: f32) -> f32 {
     let turns = (x * (1.0 / TAU) + ROUNDER) - ROUNDER;

@@ -4,9 +4,9 @@ use super::{EstimatorParams, MIN_HORIZONTAL_FIELD_SQUARED, MIN_SPECIFIC_FORCE_SQ
 use crate::arithmetic::{atan2, sin_cos, sqrt, wrap_pi};
 use crate::geometry::{Quaternion, Vec3, vec3};
 
-/// The Euler rates have 1/cos θ in them. Within half a degree of the vertical it is held at 1/0.01, which
-/// keeps a step at 2,000 °/s and 1 kHz below 3.5 rad: wrong there, as Euler angles are, but finite.
-const MIN_COS_PITCH: f32 = 0.01;
+/// The Euler rates have 1/cos θ in them. Within 0.06° of the vertical it is held at 1/0.001, which keeps a
+/// step at 2,000 °/s and 1 kHz below 35 rad: wrong there, as Euler angles are, but finite.
+const MIN_COS_PITCH: f32 = 0.001;
 
 /// The complementary filter in Euler angles.
 ///
