@@ -3,6 +3,8 @@
 #![deny(unsafe_code)]
 #![warn(missing_docs)]
 
+pub mod attitude_error;
+pub mod estimate;
 pub mod input_error;
 pub mod log;
 pub mod output_file;

@@ -1,0 +1,130 @@
+//! How far an estimated attitude is from the true one.
+//!
+//! The error is the rotation q_est ⊗ q_ref⁻¹ that takes the true attitude to the estimated one, in world
+//! axes, with nothing aligned first: a constant offset counts. As in the BROAD benchmark (Laidig, Caruso,
+//! Cereatti, Seel, *Data* 6(7):72, 2021) it is split into a turn about the vertical, the heading error, and
+//! the rest about a level axis, the inclination error: heading comes from the magnetometer, inclination
+//! from the accelerometer, and they fail separately.
+
+use flight_core::geometry::Quaternion;
+
+/// The error of one attitude, rad; every part in [0, π].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct AttitudeError {
+    /// Angle of the whole rotation.
+    pub total_rad: f64,
+    /// Its turn about the vertical.
+    pub heading_rad: f64,
+    /// Its turn about a level axis: the angle between the two down directions.
+    pub inclination_rad: f64,
+}
+
+impl AttitudeError {
+    /// The error of `estimate` against `truth`, both body to world, both near unit length.
+    ///
+    /// BROAD's formulas are 2 acos|w|, 2 atan|z/w| and 2 acos √(w² + z²). The arc tangents here are the same
+    /// angles without the arc cosine's loss of all digits below 1e-8 rad.
+    pub fn between(estimate: Quaternion<f64>, truth: Quaternion<f64>) -> Self {
+        let [w, x, y, z] = (estimate * truth.conjugate()).to_array();
+        let level_squared = x * x + y * y;
+        let length = libm::sqrt;
+        Self {
+            total_rad: 2.0 * libm::atan2(length(level_squared + z * z), w.abs()),
+            heading_rad: 2.0 * libm::atan2(z.abs(), w.abs()),
+            inclination_rad: 2.0 * libm::atan2(length(level_squared), length(w * w + z * z)),
+        }
+    }
+}
+
+/// Root of the mean square of many attitude errors.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct AttitudeRmse {
+    /// Sums of squares, rad²: total, heading, inclination.
+    sums: [f64; 3],
+    count: u64,
+}
+
+impl AttitudeRmse {
+    /// Takes one error.
+    pub fn add(&mut self, error: AttitudeError) {
+        let parts = [error.total_rad, error.heading_rad, error.inclination_rad];
+        for (sum, part) in self.sums.iter_mut().zip(parts) {
+            *sum += part * part;
+        }
+        self.count += 1;
+    }
+
+    /// Number of errors taken.
+    pub fn count(&self) -> u64 {
+        self.count
+    }
+
+    /// The three roots; `None` if there was no error to take.
+    pub fn root(&self) -> Option<AttitudeError> {
+        if self.count == 0 {
+            return None;
+        }
+        let [total_rad, heading_rad, inclination_rad] =
+            self.sums.map(|sum| libm::sqrt(sum / self.count as f64));
+        Some(AttitudeError { total_rad, heading_rad, inclination_rad })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use flight_core::geometry::vec3;
+
+    fn about(axis: [f64; 3], angle: f64) -> Quaternion<f64> {
+        let [x, y, z] = axis.map(|c| c * libm::sin(0.5 * angle));
+        Quaternion { w: libm::cos(0.5 * angle), v: vec3(x, y, z) }
+    }
+
+    #[track_caller]
+    fn assert_close(error: AttitudeError, [total, heading, inclination]: [f64; 3]) {
+        for (ours, expected) in
+            [(error.total_rad, total), (error.heading_rad, heading), (error.inclination_rad, inclination)]
+        {
+            assert!((ours - expected).abs() < 1e-14, "{error:?}");
+        }
+    }
+
+    const TRUTH: Quaternion<f64> = Quaternion::new(0.1, 0.7, -0.5, 0.5);
+
+    #[test]
+    fn a_turn_in_the_world_is_split_by_its_axis() {
+        let level = about([0.6, 0.8, 0.0], 0.3);
+        let vertical = about([0.0, 0.0, 1.0], -0.2);
+        assert_close(AttitudeError::between(vertical * TRUTH, TRUTH), [0.2, 0.2, 0.0]);
+        assert_close(AttitudeError::between(level * TRUTH, TRUTH), [0.3, 0.0, 0.3]);
+        // One after the other, cos(total/2) = cos(heading/2) cos(inclination/2).
+        let total = 2.0 * libm::acos(libm::cos(0.1) * libm::cos(0.15));
+        assert_close(AttitudeError::between(vertical * level * TRUTH, TRUTH), [total, 0.2, 0.3]);
+        assert_close(AttitudeError::between(level * vertical * TRUTH, TRUTH), [total, 0.2, 0.3]);
+    }
+
+    #[test]
+    fn both_signs_of_a_quaternion_are_the_same_attitude() {
+        let turned = about([0.0, 0.0, 1.0], 0.2) * TRUTH;
+        assert_close(AttitudeError::between(turned.scaled(-1.0), TRUTH), [0.2, 0.2, 0.0]);
+        assert_close(AttitudeError::between(TRUTH, TRUTH.scaled(-1.0)), [0.0; 3]);
+    }
+
+    #[test]
+    fn tiny_errors_keep_their_digits() {
+        let error = AttitudeError::between(about([1.0, 0.0, 0.0], 1e-12) * TRUTH, TRUTH);
+        assert!((error.inclination_rad / 1e-12 - 1.0).abs() < 1e-3, "{error:?}");
+    }
+
+    #[test]
+    fn the_mean_is_of_squares() {
+        let mut rmse = AttitudeRmse::default();
+        assert_eq!(rmse.root(), None);
+        for total_rad in [3.0, 4.0] {
+            rmse.add(AttitudeError { total_rad, heading_rad: 1.0, inclination_rad: 0.0 });
+        }
+        let root = rmse.root().unwrap();
+        assert_eq!((rmse.count(), root.total_rad), (2, libm::sqrt(12.5)));
+        assert_eq!((root.heading_rad, root.inclination_rad), (1.0, 0.0));
+    }
+}

@@ -1,0 +1,110 @@
+//! The estimators over real recordings: four trials of BROAD (Laidig, Caruso, Cereatti, Seel, *Data*
+//! 6(7):72, 2021, CC BY 4.0), inertial sensor and optical reference at 285.7 Hz.
+//!
+//! The recordings are no part of the project. The environment variable `KESTREL_DATA` names the directory
+//! that has them in `broad/`; a relative path starts at the root of the workspace.
+
+use std::path::{Path, PathBuf};
+
+use sim_host::estimate::{Report, Request, run};
+use sim_host::log::{AccelSign, Axes, Frame};
+
+/// What an independent program makes of one trial, and what is asked of ours; all in degrees.
+struct Trial {
+    file: &'static str,
+    /// Total, heading and inclination RMSE of `paper-literal` by the independent program.
+    paper_literal: [f64; 3],
+    /// Total and inclination RMSE of `paper` by the independent program.
+    paper: [f64; 2],
+    /// Largest allowed inclination RMSE of `paper`.
+    paper_inclination_limit: f64,
+    /// Total RMSE of the BROAD authors' BasicVQF, a filter without bias estimation: `flight`, with its
+    /// gyroscope zeroed at rest, has to do no worse.
+    basic_vqf_total: f64,
+}
+
+const TRIALS: [Trial; 4] = [
+    Trial {
+        file: "02_undisturbed_slow_rotation_B.csv",
+        paper_literal: [4.22, 3.86, 1.69],
+        paper: [2.91, 0.96],
+        paper_inclination_limit: 1.00,
+        basic_vqf_total: 2.30,
+    },
+    Trial {
+        file: "07_undisturbed_fast_rotation_B.csv",
+        paper_literal: [12.89, 9.57, 8.72],
+        paper: [6.27, 4.46],
+        paper_inclination_limit: 4.7,
+        basic_vqf_total: 3.49,
+    },
+    Trial {
+        file: "11_undisturbed_slow_translation_B.csv",
+        paper_literal: [12.81, 10.28, 7.67],
+        paper: [8.19, 5.68],
+        paper_inclination_limit: 5.9,
+        basic_vqf_total: 3.70,
+    },
+    Trial {
+        file: "27_disturbed_phone_vibration_B.csv",
+        paper_literal: [13.94, 11.81, 7.43],
+        paper: [9.03, 5.38],
+        paper_inclination_limit: 5.6,
+        basic_vqf_total: 7.23,
+    },
+];
+
+fn estimate(trial: &Trial, estimator: &str) -> [f64; 3] {
+    let data = std::env::var_os("KESTREL_DATA").expect("KESTREL_DATA names the directory of the recordings");
+    let workspace = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
+    let log: PathBuf = workspace.join(data).join("broad").join(trial.file);
+    let request = Request {
+        log,
+        axes: Axes { frame: Frame::Enu, accel_sign: AccelSign::Reaction },
+        estimators: vec![estimator.into()],
+        ..Request::default()
+    };
+    let report: Report = run(&request).unwrap_or_else(|error| panic!("{error}"));
+    let score = report.estimators[estimator];
+    println!("{} {estimator}: {score:?}", trial.file);
+    [score.total_rmse_deg, score.heading_rmse_deg, score.inclination_rmse_deg].map(Option::unwrap)
+}
+
+/// Asserts that each of `ours` is within `share` of the same figure of `theirs`.
+#[track_caller]
+fn assert_within(share: f64, ours: &[f64], theirs: &[f64], file: &str) {
+    for (ours_deg, theirs_deg) in ours.iter().zip(theirs) {
+        assert!((ours_deg / theirs_deg - 1.0).abs() <= share, "{file}: {ours:?} against {theirs:?}");
+    }
+}
+
+#[test]
+#[ignore = "needs KESTREL_DATA, the BROAD recordings"]
+fn paper_literal_agrees_with_an_independent_program() {
+    for trial in &TRIALS {
+        let ours = estimate(trial, "paper-literal");
+        // 5 % would do. The largest difference is 0.8 %, in the heading of 07: twelve of its samples have less
+        // than 1 µT of estimated level field, which ours leaves out and the other program does not. The
+        // others are within 0.5 %, most of it the rounding of the figures.
+        assert_within(0.01, &ours, &trial.paper_literal, trial.file);
+    }
+}
+
+#[test]
+#[ignore = "needs KESTREL_DATA, the BROAD recordings"]
+fn paper_keeps_its_inclination_and_agrees_with_an_independent_program() {
+    for trial in &TRIALS {
+        let [total, _, inclination] = estimate(trial, "paper");
+        assert!(inclination <= trial.paper_inclination_limit, "{}: {inclination}", trial.file);
+        assert_within(0.01, &[total, inclination], &trial.paper, trial.file);
+    }
+}
+
+#[test]
+#[ignore = "needs KESTREL_DATA, the BROAD recordings"]
+fn flight_does_no_worse_than_a_published_filter_without_bias_estimation() {
+    for trial in &TRIALS {
+        let [total, ..] = estimate(trial, "flight");
+        assert!(total <= trial.basic_vqf_total, "{}: {total}", trial.file);
+    }
+}
