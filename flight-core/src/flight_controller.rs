@@ -1,6 +1,6 @@
 //! The whole chain, joined: one call for each sample of the inertial sensor.
 
-use crate::arming::{Arming, Conditions, IMU_LOST_US, RC_LOST_US};
+use crate::arming::{ArmState, Arming, Conditions, Event, IMU_LOST_US, RC_LOST_US};
 use crate::calibration::{Calibration, SensorFields, SensorModel};
 use crate::config::{Config, ConfigError, check};
 use crate::control::Controller;
@@ -135,7 +135,7 @@ impl FlightController {
 
         let gyro = self.gyro_prefilter.step(self.gyro_model.apply(sample.gyro));
         let accel = self.accel_prefilter.step(self.accel_model.apply(sample.accel));
-        if self.arming.state() == crate::ArmState::Disarmed {
+        if self.arming.state() == ArmState::Disarmed {
             self.gyro_zero.learn(gyro, accel, dt_s);
         }
         self.rates = gyro - self.gyro_zero.bias();
@@ -184,8 +184,13 @@ impl FlightController {
         self.pulses_us = Mixer::speeds(squares).map(|speed| self.esc.pulse_us(speed));
     }
 
-    fn output(&self, event: Option<crate::arming::Event>) -> Output {
+    fn output(&self, event: Option<Event>) -> Output {
         Output { permit: self.arming.permit(), pulses_us: self.pulses_us, state: self.arming.state(), event }
+    }
+
+    /// Whether the motors may turn.
+    pub fn state(&self) -> ArmState {
+        self.arming.state()
     }
 
     /// The estimated attitude, body to world.

@@ -5,8 +5,12 @@
 
 pub mod attitude_error;
 pub mod estimate;
+pub mod flight;
 pub mod input_error;
 pub mod log;
 pub mod output_file;
+pub mod pilot;
 pub mod random;
+pub mod scene;
+pub mod sensors;
 pub mod vehicle;

@@ -246,6 +246,12 @@ impl Vehicle {
         }
     }
 
+    /// Whether the vehicle is on its stand, and cannot go anywhere.
+    #[inline]
+    pub fn is_held(&self) -> bool {
+        self.mount == Mount::BallJoint
+    }
+
     /// Sets the speeds that the ESCs ask of the rotors, rad/s.
     #[inline]
     pub fn command(&mut self, wanted: [f64; 4]) {

@@ -57,10 +57,14 @@ impl Ground {
         state.position.z > -(params.arm_m + params.leg_m)
     }
 
+    #[inline(always)]
     pub(super) fn touches(&self, params: &VehicleParams, state: &State) -> bool {
-        let matrix = state.attitude.to_matrix();
-        self.is_near(params, state)
-            && feet(params).iter().any(|foot| state.position.z + matrix[2].dot(*foot) > 0.0)
+        self.is_near(params, state) && self.foot_touches(params, state)
+    }
+
+    fn foot_touches(&self, params: &VehicleParams, state: &State) -> bool {
+        let down = state.attitude.down();
+        feet(params).iter().any(|foot| state.position.z + down.dot(*foot) > 0.0)
     }
 
     pub(super) fn contact(&self, params: &VehicleParams, state: &State, matrix: &Mat3<f64>) -> Contact {

@@ -1,0 +1,342 @@
+//! A flight: the world and the flight controller, step by step, judged on the truth.
+//!
+//! ```text
+//!  t_k:  truth ──► sensors ──► counts ─┐
+//!        truth, 0.2 s late ──► pilot ──┴──► FlightController::step ──► permit, pulses ──► ESC, rotors
+//!  t_k → t_k+1:  vehicle.advance()
+//! ```
+//!
+//! Gyroscope and accelerometer are sampled every step, the magnetometer a hundred times a second, the
+//! receiver fifty times. Time is integer microseconds.
+
+use flight_core::geometry::{Quaternion, Vec3, vec3};
+use flight_core::sample::{Health, ImuSample, Input, MagSample, RcFrame};
+use flight_core::{ArmState, FlightController, MotorPermit, Output};
+use xxhash_rust::xxh3::Xxh3;
+
+use crate::attitude_error::{AttitudeError, AttitudeRmse};
+use crate::pilot::{FRAME_RATE_HZ, Pilot};
+use crate::scene::{DEFAULT_RATE_HZ, FIELD_ANKARA_UT, MAG_RATE_HZ, Scene};
+use crate::sensors::Sensor;
+use crate::vehicle::{State, Vehicle};
+
+/// Length of a step, µs.
+pub const STEP_US: u64 = 1_000_000 / DEFAULT_RATE_HZ as u64;
+const MAG_US: u64 = 1_000_000 / MAG_RATE_HZ as u64;
+const RC_US: u64 = 1_000_000 / FRAME_RATE_HZ as u64;
+
+/// Touch-down faster than this is a crash, m/s.
+const MAX_TOUCH_DOWN_M_S: f64 = 2.0;
+/// Touch-down further from level than this is a crash: cos 45°.
+const MIN_TOUCH_DOWN_COS: f64 = std::f64::consts::FRAC_1_SQRT_2;
+/// Further from the pilot's target than this is a crash, m.
+const MAX_ASTRAY_M: f64 = 20.0;
+
+/// Why a flight counts as crashed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Crash {
+    /// A number of the state is not finite.
+    NotFinite,
+    /// Touch-down above 2 m/s.
+    HardTouchDown,
+    /// Touch-down at more than 45°.
+    TiltedTouchDown,
+    /// Tilt above 90° in a scene that is not aerobatic.
+    TippedOver,
+    /// More than 20 m from the pilot's target.
+    FlownAway,
+}
+
+impl Crash {
+    /// For people.
+    pub fn text(self) -> &'static str {
+        match self {
+            Self::NotFinite => "a number of the state is not finite",
+            Self::HardTouchDown => "touch-down above 2 m/s",
+            Self::TiltedTouchDown => "touch-down at more than 45°",
+            Self::TippedOver => "tilt above 90°",
+            Self::FlownAway => "more than 20 m from the pilot's target",
+        }
+    }
+}
+
+/// What an observer sees of a step.
+#[derive(Debug)]
+pub struct StepView<'a> {
+    /// Time, µs.
+    pub time_us: u64,
+    /// The truth at this time.
+    pub truth: &'a State,
+    /// True rotor speeds, rad/s.
+    pub rotors_rad_s: [f64; 4],
+    /// What went into the flight controller.
+    pub input: &'a Input,
+    /// What came out.
+    pub output: &'a Output,
+    /// Estimated attitude.
+    pub estimate: Quaternion<f64>,
+    /// The flight controller, for what else it knows.
+    pub controller: &'a FlightController,
+}
+
+/// Someone who watches a flight: a log, a report, a progress bar.
+pub trait Observer {
+    /// Called at every step, before the vehicle moves on.
+    fn step(&mut self, view: &StepView);
+}
+
+/// Nobody watches.
+impl Observer for () {
+    fn step(&mut self, _: &StepView) {}
+}
+
+impl<A: Observer, B: Observer> Observer for (A, B) {
+    fn step(&mut self, view: &StepView) {
+        self.0.step(view);
+        self.1.step(view);
+    }
+}
+
+impl<T: Observer> Observer for Option<T> {
+    fn step(&mut self, view: &StepView) {
+        if let Some(observer) = self {
+            observer.step(view);
+        }
+    }
+}
+
+impl<T: Observer> Observer for &mut T {
+    fn step(&mut self, view: &StepView) {
+        (*self).step(view);
+    }
+}
+
+/// How a flight went.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Outcome {
+    /// Steps flown.
+    pub control_steps: u64,
+    /// Estimated attitude against the truth, degrees, over the whole flight.
+    pub attitude_rmse_deg: f64,
+    /// The heading's part of it, degrees.
+    pub heading_rmse_deg: f64,
+    /// The tilt's part of it, degrees.
+    pub inclination_rmse_deg: f64,
+    /// Largest error of the estimated tilt, degrees.
+    pub tilt_error_max_deg: f64,
+    /// Largest true tilt, degrees.
+    pub tilt_max_deg: f64,
+    /// Largest true distance from the pilot's target while airborne, m.
+    pub position_error_max_m: f64,
+    /// Why and when it crashed, s.
+    pub crash: Option<(Crash, f64)>,
+    /// The flight controller's state at the end.
+    pub final_state: ArmState,
+    /// Hash of the whole trajectory: truth and pulses of every step.
+    pub digest: u64,
+}
+
+/// A flight under way.
+pub struct Flight {
+    vehicle: Vehicle,
+    gyro: Sensor,
+    accel: Sensor,
+    mag: Sensor,
+    pilot: Option<Pilot>,
+    controller: FlightController,
+    max_rotor_rad_s: f64,
+    aerobatic: bool,
+    steps: u64,
+    time_us: u64,
+    next_mag_us: u64,
+    next_rc_us: u64,
+    airborne: bool,
+    judge: Judge,
+}
+
+/// Running sums of what an [`Outcome`] says.
+#[derive(Default)]
+struct Judge {
+    rmse: AttitudeRmse,
+    inclination_max_rad: f64,
+    min_cos_tilt: f64,
+    position_error_max_m: f64,
+    digest: Xxh3,
+}
+
+impl Flight {
+    /// The start of a flight of this scene with this seed.
+    pub fn new(scene: &Scene, seed: u64) -> Self {
+        let step_s = STEP_US as f64 * 1e-6;
+        let rate_hz = f64::from(DEFAULT_RATE_HZ);
+        let vehicle =
+            Vehicle::at_rest(scene.vehicle, scene.mount(), scene.body_effects(), scene.motor_lag_s(), step_s);
+        let [gyro, accel, mag] = scene.converters;
+        let pilot = scene
+            .pilot
+            .as_ref()
+            .map(|p| Pilot::new(p.plan, p.base, p.script.clone(), scene.pilot_knowledge(), vehicle.state()));
+        Self {
+            vehicle,
+            gyro: Sensor::new(scene.gyro_effects(seed, rate_hz), gyro),
+            accel: Sensor::new(scene.accel_effects(seed, rate_hz), accel),
+            mag: Sensor::new(scene.mag_effects(seed, f64::from(MAG_RATE_HZ)), mag),
+            pilot,
+            controller: scene.controller(),
+            max_rotor_rad_s: scene.vehicle.max_rad_s,
+            aerobatic: scene.aerobatic,
+            steps: (scene.duration_s * rate_hz).round() as u64,
+            time_us: 0,
+            next_mag_us: 0,
+            next_rc_us: 0,
+            airborne: false,
+            judge: Judge { min_cos_tilt: 1.0, ..Judge::default() },
+        }
+    }
+
+    /// Flies to the end, or to the crash.
+    pub fn run(mut self, observer: &mut impl Observer) -> Outcome {
+        for step in 0..self.steps {
+            if let Some(crash) = self.step(observer) {
+                return self.outcome(step + 1, Some((crash, self.time_us as f64 * 1e-6)));
+            }
+        }
+        self.outcome(self.steps, None)
+    }
+
+    #[inline(always)]
+    fn step(&mut self, observer: &mut impl Observer) -> Option<Crash> {
+        let input = self.sense();
+        let output = self.controller.step(&input);
+        let estimate = to_f64(self.controller.attitude());
+        self.judge.take(self.vehicle.state(), estimate, &output);
+        observer.step(&StepView {
+            time_us: self.time_us,
+            truth: self.vehicle.state(),
+            rotors_rad_s: self.vehicle.rotors(),
+            input: &input,
+            output: &output,
+            estimate,
+            controller: &self.controller,
+        });
+        let wanted = self.esc(output.permit, output.pulses_us);
+        self.vehicle.command(wanted);
+        self.vehicle.advance();
+        self.time_us += STEP_US;
+        self.crash()
+    }
+
+    /// What arrives at the flight controller at this time.
+    #[inline(always)]
+    fn sense(&mut self) -> Input {
+        let state = self.vehicle.state();
+        let imu = ImuSample {
+            gyro: self.gyro.sample(state.rates),
+            accel: self.accel.sample(self.vehicle.specific_force()),
+        };
+        let mag = (self.time_us >= self.next_mag_us).then(|| {
+            self.next_mag_us += MAG_US;
+            let field = state.attitude.to_matrix().transpose() * FIELD_ANKARA_UT;
+            MagSample { counts: self.mag.sample(field) }
+        });
+        let rc = if self.time_us >= self.next_rc_us {
+            self.next_rc_us += RC_US;
+            self.rc_frame()
+        } else {
+            None
+        };
+        Input { time_us: self.time_us, imu: Some(imu), mag, rc, battery: None, health: Health::default() }
+    }
+
+    fn rc_frame(&mut self) -> Option<RcFrame> {
+        let t_s = self.time_us as f64 * 1e-6;
+        self.pilot.as_mut().map(|pilot| pilot.frame(t_s, self.vehicle.state()))
+    }
+
+    /// Rotor speeds that the ESCs ask for: the inverse of flight-core's pulse map, or none at all without a
+    /// permit.
+    #[inline(always)]
+    fn esc(&self, permit: Option<MotorPermit>, pulses_us: [f32; 4]) -> [f64; 4] {
+        match permit {
+            Some(MotorPermit { .. }) => {
+                pulses_us.map(|us| self.max_rotor_rad_s * ((f64::from(us) - 1000.0) * 1e-3).clamp(0.0, 1.0))
+            }
+            None => [0.0; 4],
+        }
+    }
+
+    #[inline(always)]
+    fn crash(&mut self) -> Option<Crash> {
+        let state = self.vehicle.state();
+        if !state.is_finite() {
+            return Some(Crash::NotFinite);
+        }
+        let was_airborne = self.airborne;
+        self.airborne = !self.vehicle.touches_ground();
+        let cos_tilt = state.cos_tilt();
+        if was_airborne && !self.airborne {
+            if state.velocity.norm() > MAX_TOUCH_DOWN_M_S {
+                return Some(Crash::HardTouchDown);
+            }
+            if cos_tilt < MIN_TOUCH_DOWN_COS {
+                return Some(Crash::TiltedTouchDown);
+            }
+        }
+        if !self.aerobatic && cos_tilt < 0.0 {
+            return Some(Crash::TippedOver);
+        }
+        let pilot = self.pilot.as_ref()?;
+        if !self.airborne || self.vehicle.is_held() {
+            return None;
+        }
+        let astray = (state.position - pilot.target_m(self.time_us as f64 * 1e-6)).norm();
+        self.judge.position_error_max_m = self.judge.position_error_max_m.max(astray);
+        (astray > MAX_ASTRAY_M).then_some(Crash::FlownAway)
+    }
+
+    fn outcome(&self, control_steps: u64, crash: Option<(Crash, f64)>) -> Outcome {
+        let judge = &self.judge;
+        // A flight has at least one step.
+        let none = AttitudeError { total_rad: 0.0, heading_rad: 0.0, inclination_rad: 0.0 };
+        let rmse = judge.rmse.root().unwrap_or(none);
+        Outcome {
+            control_steps,
+            attitude_rmse_deg: rmse.total_rad.to_degrees(),
+            heading_rmse_deg: rmse.heading_rad.to_degrees(),
+            inclination_rmse_deg: rmse.inclination_rad.to_degrees(),
+            tilt_error_max_deg: judge.inclination_max_rad.to_degrees(),
+            tilt_max_deg: libm::acos(judge.min_cos_tilt.clamp(-1.0, 1.0)).to_degrees(),
+            position_error_max_m: judge.position_error_max_m,
+            crash,
+            final_state: self.controller.state(),
+            digest: judge.digest.digest(),
+        }
+    }
+}
+
+impl Judge {
+    #[inline(always)]
+    fn take(&mut self, truth: &State, estimate: Quaternion<f64>, output: &Output) {
+        let error = AttitudeError::between(estimate, truth.attitude);
+        self.rmse.add(error);
+        self.inclination_max_rad = self.inclination_max_rad.max(error.inclination_rad);
+        self.min_cos_tilt = self.min_cos_tilt.min(truth.cos_tilt());
+
+        let mut bytes = [0; 13 * 8 + 4 * 4];
+        let [w, x, y, z] = truth.attitude.to_array();
+        let vectors = [truth.position, truth.velocity, truth.rates];
+        let numbers = vectors.into_iter().flat_map(<[f64; 3]>::from).chain([w, x, y, z]);
+        for (slot, number) in bytes.chunks_exact_mut(8).zip(numbers) {
+            slot.copy_from_slice(&number.to_bits().to_le_bytes());
+        }
+        for (slot, pulse) in bytes[13 * 8..].chunks_exact_mut(4).zip(output.pulses_us) {
+            slot.copy_from_slice(&pulse.to_bits().to_le_bytes());
+        }
+        self.digest.update(&bytes);
+    }
+}
+
+fn to_f64(q: Quaternion<f32>) -> Quaternion<f64> {
+    let Vec3 { x, y, z } = q.v;
+    Quaternion { w: f64::from(q.w), v: vec3(f64::from(x), f64::from(y), f64::from(z)) }
+}

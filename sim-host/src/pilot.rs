@@ -1,0 +1,311 @@
+//! The pilot: sees the truth a fifth of a second late, and moves four sticks fifty times a second.
+//!
+//! A pilot lies back, arms with the sticks, takes off, holds a place, lands, disarms. A *script* moves
+//! named sticks at named times; what it does not name stays with the base: the holding pilot, or centred
+//! sticks for a stand.
+
+use std::collections::VecDeque;
+
+use flight_core::geometry::Vec3;
+use flight_core::rc::{CENTRE_TICKS, HIGH_TICKS, LOW_TICKS};
+use flight_core::sample::RcFrame;
+
+use crate::vehicle::{GRAVITY, State};
+
+/// Frames from the transmitter per second.
+pub const FRAME_RATE_HZ: f64 = 50.0;
+
+/// Age of what the pilot sees, in frames: 0.2 s.
+const REACTION_FRAMES: usize = 10;
+
+/// Stick positions before they become ticks: throttle 0 to 1, the others −1 to 1.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Sticks {
+    throttle: f64,
+    roll: f64,
+    pitch: f64,
+    yaw: f64,
+}
+
+impl Sticks {
+    const LOW: Self = Self { throttle: 0.0, roll: 0.0, pitch: 0.0, yaw: 0.0 };
+    const ARM: Self = Self { yaw: 1.0, ..Self::LOW };
+    const DISARM: Self = Self { yaw: -1.0, ..Self::LOW };
+
+    /// The 11-bit ticks of the receiver.
+    fn to_frame(self) -> RcFrame {
+        let ticks = |position: f64, zero: u16, span: u16| {
+            let limited = f64::from(zero) + libm::rint(position * f64::from(span));
+            limited.clamp(f64::from(LOW_TICKS), f64::from(HIGH_TICKS)) as u16
+        };
+        let centred = |position| ticks(position, CENTRE_TICKS, HIGH_TICKS - CENTRE_TICKS);
+        RcFrame {
+            channels: [
+                ticks(self.throttle, LOW_TICKS, HIGH_TICKS - LOW_TICKS),
+                centred(self.roll),
+                centred(self.pitch),
+                centred(self.yaw),
+            ],
+        }
+    }
+}
+
+/// What the sticks do that a script does not name.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Base {
+    /// Hold the place above the start.
+    Hold,
+    /// Roll, pitch and yaw centred, throttle as given (0 to 1) once armed.
+    Centred {
+        /// Throttle, 0 to 1.
+        throttle: f64,
+    },
+}
+
+/// The times and places of a flight.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Plan {
+    /// Start of the arm gesture, s.
+    pub arm_at_s: f64,
+    /// Start of the climb, s; on a stand, of the throttle.
+    pub take_off_at_s: f64,
+    /// Height to hold, m.
+    pub height_m: f64,
+    /// Start of the descent, s; `None` stays up.
+    pub land_at_s: Option<f64>,
+}
+
+/// One move of a script: these sticks, from this time, for this long.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Move {
+    /// s.
+    pub at_s: f64,
+    /// s.
+    pub for_s: f64,
+    /// 0 to 1; `None` leaves it to the base.
+    pub throttle: Option<f64>,
+    /// −1 (left) to 1 (right).
+    pub roll: Option<f64>,
+    /// −1 (back, nose up) to 1 (forward, nose down).
+    pub pitch: Option<f64>,
+    /// −1 (anticlockwise from above) to 1.
+    pub yaw: Option<f64>,
+}
+
+/// What the pilot knows of the vehicle.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Knowledge {
+    /// Throttle at which the vehicle hovers, 0 to 1.
+    pub hover_throttle: f64,
+    /// Tilt at full stick, rad.
+    pub max_tilt_rad: f64,
+    /// Yaw rate at full stick, rad/s.
+    pub max_yaw_rate_rad_s: f64,
+}
+
+/// Climb and descent, m/s.
+const CLIMB_M_S: f64 = 1.0;
+const DESCENT_M_S: f64 = 0.5;
+
+/// The gesture is held this long: the flight code asks for 1 s to arm.
+const ARM_GESTURE_S: f64 = 1.2;
+
+/// Height error to acceleration, 1/s², and climb rate to acceleration, 1/s. With 0.2 s of reaction and
+/// 0.05 s of motor lag, 2.4 /s of damping leaves a phase margin of 50°.
+const HEIGHT_P: f64 = 1.4;
+const HEIGHT_D: f64 = 2.4;
+/// The same for north and east, where the vehicle has to tilt first (0.25 s more).
+const PLACE_P: f64 = 0.5;
+const PLACE_D: f64 = 1.2;
+/// Place error over time to acceleration, 1/s³: against a steady wind or a level that is off.
+const PLACE_I: f64 = 0.08;
+/// A careful pilot tilts no further to hold a place, rad (20°).
+const MAX_HOLD_TILT_RAD: f64 = 0.35;
+/// Heading error to yaw rate, 1/s.
+const HEADING_P: f64 = 1.0;
+
+/// A pilot in flight.
+#[derive(Clone, Debug)]
+pub struct Pilot {
+    plan: Plan,
+    base: Base,
+    script: Vec<Move>,
+    knowledge: Knowledge,
+    /// The last [`REACTION_FRAMES`] views, the oldest in front.
+    seen: VecDeque<State>,
+    home: Vec3<f64>,
+    place_integral: Vec3<f64>,
+    landed_at_s: Option<f64>,
+}
+
+impl Pilot {
+    /// A pilot who stands by the vehicle at `start`.
+    pub fn new(plan: Plan, base: Base, script: Vec<Move>, knowledge: Knowledge, start: &State) -> Self {
+        Self {
+            plan,
+            base,
+            script,
+            knowledge,
+            seen: VecDeque::with_capacity(REACTION_FRAMES + 1),
+            home: start.position,
+            place_integral: Vec3::ZERO,
+            landed_at_s: None,
+        }
+    }
+
+    /// Where the pilot wants the vehicle at time `t_s`, north, east, down, m.
+    pub fn target_m(&self, t_s: f64) -> Vec3<f64> {
+        let Plan { take_off_at_s, height_m, land_at_s, .. } = self.plan;
+        let climbed = ((t_s - take_off_at_s) * CLIMB_M_S).clamp(0.0, height_m);
+        // The descent goes on below the ground, so that the vehicle settles on it.
+        let descended = land_at_s.map_or(0.0, |at| ((t_s - at) * DESCENT_M_S).max(0.0));
+        let height = (climbed - descended).max(-0.5);
+        Vec3 { z: self.home.z - height, ..self.home }
+    }
+
+    /// The frame that the transmitter sends at time `t_s`, when the vehicle is in `state`.
+    pub fn frame(&mut self, t_s: f64, state: &State) -> RcFrame {
+        self.seen.push_back(*state);
+        let view = self.seen[0];
+        if self.seen.len() > REACTION_FRAMES {
+            self.seen.pop_front();
+        }
+        self.sticks(t_s, &view).to_frame()
+    }
+
+    fn sticks(&mut self, t_s: f64, view: &State) -> Sticks {
+        let Plan { arm_at_s, take_off_at_s, land_at_s, .. } = self.plan;
+        if (arm_at_s..arm_at_s + ARM_GESTURE_S).contains(&t_s) {
+            return Sticks::ARM;
+        }
+        if t_s < take_off_at_s {
+            return Sticks::LOW;
+        }
+        if let Some(since) = self.landed_at_s {
+            // Throttle down, a breath, then the gesture.
+            return if t_s - since > 0.5 { Sticks::DISARM } else { Sticks::LOW };
+        }
+        if land_at_s.is_some_and(|at| t_s > at) && self.is_down(t_s, view) {
+            self.landed_at_s = Some(t_s);
+            return Sticks::LOW;
+        }
+        let mut sticks = match self.base {
+            Base::Hold => self.hold(t_s, view),
+            Base::Centred { throttle } => Sticks { throttle, ..Sticks::LOW },
+        };
+        for m in self.script.iter().filter(|m| (m.at_s..m.at_s + m.for_s).contains(&t_s)) {
+            sticks.throttle = m.throttle.unwrap_or(sticks.throttle);
+            sticks.roll = m.roll.unwrap_or(sticks.roll);
+            sticks.pitch = m.pitch.unwrap_or(sticks.pitch);
+            sticks.yaw = m.yaw.unwrap_or(sticks.yaw);
+        }
+        sticks
+    }
+
+    /// Whether the vehicle is seen on the ground and at rest; on a stand, at once.
+    fn is_down(&self, t_s: f64, view: &State) -> bool {
+        match self.base {
+            Base::Centred { .. } => true,
+            Base::Hold => {
+                self.target_m(t_s).z > self.home.z
+                    && view.position.z > self.home.z - 0.02
+                    && view.velocity.norm() < 0.1
+            }
+        }
+    }
+
+    fn hold(&mut self, t_s: f64, view: &State) -> Sticks {
+        let error = self.target_m(t_s) - view.position;
+        let wanted_z = HEIGHT_P * error.z + HEIGHT_D * (self.target_rate_m_s(t_s) - view.velocity.z);
+
+        let level = Vec3 { z: 0.0, ..error };
+        if view.position.z < self.home.z - 0.2 {
+            self.place_integral += level * (PLACE_I / FRAME_RATE_HZ);
+        }
+        let a = level * PLACE_P - view.velocity * PLACE_D + self.place_integral;
+        // Forward and right as the pilot sees the vehicle point.
+        let nose = view.attitude.rotate(Vec3::X);
+        let length = libm::sqrt(nose.x * nose.x + nose.y * nose.y).max(1e-6);
+        let (cos_yaw, sin_yaw) = (nose.x / length, nose.y / length);
+        let forward = cos_yaw * a.x + sin_yaw * a.y;
+        let right = cos_yaw * a.y - sin_yaw * a.x;
+
+        let Knowledge { hover_throttle, max_tilt_rad, max_yaw_rate_rad_s } = self.knowledge;
+        let tilt = |acceleration: f64| {
+            (acceleration / GRAVITY).clamp(-MAX_HOLD_TILT_RAD, MAX_HOLD_TILT_RAD) / max_tilt_rad
+        };
+        let heading = libm::atan2(sin_yaw, cos_yaw);
+        let yaw = -HEADING_P * heading / max_yaw_rate_rad_s;
+        Sticks {
+            throttle: (hover_throttle * (1.0 - wanted_z / GRAVITY)).clamp(0.06, 1.0),
+            roll: tilt(right),
+            pitch: tilt(forward),
+            // The flight code holds the heading by itself; a pilot only mends what is seen to be off.
+            yaw: if heading.abs() > 0.05 { yaw.clamp(-0.3, 0.3) } else { 0.0 },
+        }
+    }
+
+    /// Down rate of the target, m/s.
+    fn target_rate_m_s(&self, t_s: f64) -> f64 {
+        (self.target_m(t_s + 0.5 / FRAME_RATE_HZ) - self.target_m(t_s - 0.5 / FRAME_RATE_HZ)).z
+            * FRAME_RATE_HZ
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use flight_core::geometry::{Quaternion, vec3};
+
+    const KNOWLEDGE: Knowledge =
+        Knowledge { hover_throttle: 0.5, max_tilt_rad: 0.785, max_yaw_rate_rad_s: 1.57 };
+    const PLAN: Plan = Plan { arm_at_s: 1.0, take_off_at_s: 3.0, height_m: 2.0, land_at_s: None };
+
+    fn at(position: Vec3<f64>) -> State {
+        State { position, velocity: Vec3::ZERO, attitude: Quaternion::IDENTITY, rates: Vec3::ZERO }
+    }
+
+    #[test]
+    fn arms_by_the_sticks_before_taking_off() {
+        let ground = at(vec3(0.0, 0.0, -0.05));
+        let mut pilot = Pilot::new(PLAN, Base::Hold, vec![], KNOWLEDGE, &ground);
+        assert_eq!(pilot.frame(0.0, &ground).channels, [172, 992, 992, 992]);
+        assert_eq!(pilot.frame(1.5, &ground).channels, [172, 992, 992, 1811]);
+        assert_eq!(pilot.frame(2.5, &ground).channels, [172, 992, 992, 992]);
+        assert!(pilot.frame(4.0, &ground).channels[0] > 992);
+    }
+
+    #[test]
+    fn steers_back_and_sees_late() {
+        let start = at(vec3(0.0, 0.0, -0.05));
+        let mut pilot = Pilot::new(PLAN, Base::Hold, vec![], KNOWLEDGE, &start);
+        let home = at(vec3(0.0, 0.0, -2.05));
+        let off = at(vec3(1.0, 1.0, -2.05));
+        for _ in 0..=REACTION_FRAMES {
+            pilot.frame(10.0, &home);
+        }
+        for late in 0..REACTION_FRAMES {
+            assert_eq!(pilot.frame(10.0, &off).channels[1], 992, "{late} frames late");
+        }
+        // Off to the north and east: roll left, stick back.
+        let [_, roll, pitch, _] = pilot.frame(10.0, &off).channels;
+        assert!(roll < 992 && pitch < 992);
+    }
+
+    #[test]
+    fn a_script_takes_the_sticks_it_names() {
+        let start = at(Vec3::ZERO);
+        let script = vec![Move {
+            at_s: 5.0,
+            for_s: 2.0,
+            throttle: None,
+            roll: Some(2.0 / 3.0),
+            pitch: None,
+            yaw: None,
+        }];
+        let mut pilot = Pilot::new(PLAN, Base::Centred { throttle: 0.5 }, script, KNOWLEDGE, &start);
+        assert_eq!(pilot.frame(4.98, &start).channels, [992, 992, 992, 992]);
+        assert_eq!(pilot.frame(5.0, &start).channels, [992, 1538, 992, 992]);
+        assert_eq!(pilot.frame(7.0, &start).channels[1], 992);
+    }
+}

@@ -1,0 +1,451 @@
+//! The tables and keys of a scene file, with their units in the keys.
+
+use flight_core::geometry::Vec3;
+use serde::Deserialize;
+
+use super::PilotScript;
+use super::check::{unknown, within};
+use crate::input_error::InputError;
+use crate::pilot::{Base, Move, Plan};
+use crate::sensors::Converter;
+use crate::vehicle::VehicleParams;
+
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct SceneFile {
+    pub scene: SceneTable,
+    #[serde(default)]
+    pub flight: Flight,
+    pub pilot: Option<Pilot>,
+    #[serde(default)]
+    pub effects: Effects,
+}
+
+/// `[scene]`
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct SceneTable {
+    #[serde(default)]
+    pub description: String,
+    pub duration_s: f64,
+    pub seed: u64,
+    pub vehicle: Vehicle,
+    pub imu: String,
+    #[serde(default)]
+    pub mount: MountName,
+    #[serde(default)]
+    pub aerobatic: bool,
+}
+
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub(super) enum MountName {
+    #[default]
+    Free,
+    BallJoint,
+}
+
+/// `vehicle = "os4"`, or a table.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(try_from = "toml::Value")]
+pub(super) enum Vehicle {
+    Named(String),
+    Table(VehicleTable),
+}
+
+impl TryFrom<toml::Value> for Vehicle {
+    type Error = String;
+    fn try_from(value: toml::Value) -> Result<Self, String> {
+        match value {
+            toml::Value::String(name) => Ok(Self::Named(name)),
+            toml::Value::Table(_) => {
+                value.try_into().map(Self::Table).map_err(|e| format!("scene.vehicle: {}", e.message()))
+            }
+            _ => Err("scene.vehicle: must be a name or a table".into()),
+        }
+    }
+}
+
+/// An inline vehicle: what it does not say is as in the vehicle that it is `like`.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct VehicleTable {
+    like: String,
+    mass_kg: Option<f64>,
+    inertia_kg_m2: Option<[f64; 3]>,
+    rotor_inertia_kg_m2: Option<f64>,
+    arm_m: Option<f64>,
+    thrust_coefficient_n_s2: Option<f64>,
+    torque_coefficient_n_m_s2: Option<f64>,
+    max_rotor_rad_s: Option<f64>,
+    leg_m: Option<f64>,
+}
+
+fn named_vehicle(name: &str) -> Result<VehicleParams, InputError> {
+    match name {
+        "os4" => Ok(VehicleParams::OS4),
+        other => Err(unknown("scene.vehicle", other, ["os4"])),
+    }
+}
+
+impl Vehicle {
+    pub fn build(&self) -> Result<VehicleParams, InputError> {
+        let table = match self {
+            Self::Named(name) => return named_vehicle(name),
+            Self::Table(table) => table,
+        };
+        let like = named_vehicle(&table.like)?;
+        let params = VehicleParams {
+            mass_kg: table.mass_kg.unwrap_or(like.mass_kg),
+            inertia_kg_m2: table.inertia_kg_m2.map_or(like.inertia_kg_m2, Vec3::from),
+            rotor_inertia_kg_m2: table.rotor_inertia_kg_m2.unwrap_or(like.rotor_inertia_kg_m2),
+            arm_m: table.arm_m.unwrap_or(like.arm_m),
+            thrust_coefficient: table.thrust_coefficient_n_s2.unwrap_or(like.thrust_coefficient),
+            torque_coefficient: table.torque_coefficient_n_m_s2.unwrap_or(like.torque_coefficient),
+            max_rad_s: table.max_rotor_rad_s.unwrap_or(like.max_rad_s),
+            leg_m: table.leg_m.unwrap_or(like.leg_m),
+        };
+        within("scene.vehicle.mass_kg", params.mass_kg, 0.01, 100.0, "kg")?;
+        for inertia in <[f64; 3]>::from(params.inertia_kg_m2) {
+            within("scene.vehicle.inertia_kg_m2", inertia, 1e-6, 100.0, "kg m²")?;
+        }
+        within("scene.vehicle.rotor_inertia_kg_m2", params.rotor_inertia_kg_m2, 0.0, 1.0, "kg m²")?;
+        within("scene.vehicle.arm_m", params.arm_m, 0.02, 5.0, "m")?;
+        within("scene.vehicle.thrust_coefficient_n_s2", params.thrust_coefficient, 1e-9, 0.1, "N s²")?;
+        within("scene.vehicle.torque_coefficient_n_m_s2", params.torque_coefficient, 1e-11, 0.1, "N m s²")?;
+        within("scene.vehicle.max_rotor_rad_s", params.max_rad_s, 65.0, 1e4, "rad/s")?;
+        within("scene.vehicle.leg_m", params.leg_m, 0.01, 1.0, "m")?;
+        Ok(params)
+    }
+}
+
+/// `[flight]`: what the flight controller is configured with.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Flight {
+    pub estimator: String,
+    /// Absent: no prefilter.
+    pub prefilter_hz: Option<f64>,
+    /// Added to the magnetic heading, positive east.
+    #[serde(default)]
+    pub declination_deg: f64,
+    pub calibration: Option<CalibrationTable>,
+}
+
+impl Default for Flight {
+    fn default() -> Self {
+        Self { estimator: "flight".into(), prefilter_hz: Some(30.0), declination_deg: 0.0, calibration: None }
+    }
+}
+
+/// `[flight.calibration]`
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct CalibrationTable {
+    pub gyro_rad_s: Option<SensorCalibrationTable>,
+    pub accel_m_s2: Option<SensorCalibrationTable>,
+    pub mag_ut: Option<SensorCalibrationTable>,
+}
+
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct SensorCalibrationTable {
+    pub bias: [f64; 3],
+    pub matrix: Option<[[f64; 3]; 3]>,
+}
+
+/// `[pilot]`
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Pilot {
+    kind: PilotKind,
+    arm_at_s: f64,
+    take_off_at_s: f64,
+    height_m: Option<f64>,
+    land_at_s: Option<f64>,
+    /// What the sticks do that no `[[pilot.move]]` names.
+    base: Option<BaseName>,
+    /// With `base = "centred"`.
+    throttle: Option<f64>,
+    #[serde(default, rename = "move")]
+    moves: Vec<MoveTable>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "snake_case")]
+enum PilotKind {
+    Hold,
+    Script,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "snake_case")]
+enum BaseName {
+    Hold,
+    Centred,
+}
+
+/// `[[pilot.move]]`: stick positions over time.
+#[derive(Clone, Copy, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct MoveTable {
+    at_s: f64,
+    for_s: f64,
+    throttle: Option<f64>,
+    roll: Option<f64>,
+    pitch: Option<f64>,
+    yaw: Option<f64>,
+}
+
+impl Pilot {
+    pub fn build(&self, ball_joint: bool) -> Result<PilotScript, InputError> {
+        within("pilot.arm_at_s", self.arm_at_s, 0.0, 1e6, "s")?;
+        // The gesture is held for 1.2 s, and the sticks come back in 0.3.
+        within("pilot.take_off_at_s", self.take_off_at_s, self.arm_at_s + 1.5, 1e6, "s")?;
+        if let Some(land_at_s) = self.land_at_s {
+            within("pilot.land_at_s", land_at_s, self.take_off_at_s, 1e6, "s")?;
+        }
+        if self.kind == PilotKind::Hold && !self.moves.is_empty() {
+            return Err(InputError::new("a pilot of kind \"hold\" has none; use kind = \"script\"")
+                .field("pilot.move"));
+        }
+        let base = match (self.kind, self.base) {
+            (PilotKind::Hold, None) | (PilotKind::Script, Some(BaseName::Hold)) => Base::Hold,
+            (PilotKind::Script, Some(BaseName::Centred)) => {
+                let throttle =
+                    self.throttle.ok_or_else(|| missing("pilot.throttle", "base = \"centred\""))?;
+                within("pilot.throttle", throttle, 0.0, 1.0, "of full throttle")?;
+                Base::Centred { throttle }
+            }
+            (PilotKind::Hold, Some(_)) => {
+                return Err(InputError::new("only a pilot of kind \"script\" has one").field("pilot.base"));
+            }
+            (PilotKind::Script, None) => return Err(missing("pilot.base", "kind = \"script\"")),
+        };
+        if base == Base::Hold && ball_joint {
+            return Err(InputError::new(
+                "a vehicle on a ball joint has no place to hold; use base = \"centred\"",
+            )
+            .field("pilot"));
+        }
+        let height_m = match (base, self.height_m) {
+            (Base::Hold, None) => return Err(missing("pilot.height_m", "a holding pilot")),
+            (_, height_m) => height_m.unwrap_or(0.0),
+        };
+        within("pilot.height_m", height_m, 0.0, 1000.0, "m")?;
+        let mut script = Vec::new();
+        for m in &self.moves {
+            within("pilot.move.at_s", m.at_s, self.take_off_at_s, 1e6, "s")?;
+            within("pilot.move.for_s", m.for_s, 0.02, 1e6, "s")?;
+            for (field, stick, low) in [
+                ("pilot.move.throttle", m.throttle, 0.0),
+                ("pilot.move.roll", m.roll, -1.0),
+                ("pilot.move.pitch", m.pitch, -1.0),
+                ("pilot.move.yaw", m.yaw, -1.0),
+            ] {
+                if let Some(stick) = stick {
+                    within(field, stick, low, 1.0, "of full stick")?;
+                }
+            }
+            let MoveTable { at_s, for_s, throttle, roll, pitch, yaw } = *m;
+            script.push(Move { at_s, for_s, throttle, roll, pitch, yaw });
+        }
+        let Self { arm_at_s, take_off_at_s, land_at_s, .. } = *self;
+        Ok(PilotScript { plan: Plan { arm_at_s, take_off_at_s, height_m, land_at_s }, base, script })
+    }
+}
+
+fn missing(field: &str, with: &str) -> InputError {
+    InputError::new(format!("is missing: {with} needs it")).field(field)
+}
+
+/// `[effects.…]`: what is named is simulated, nothing else.
+#[derive(Clone, Debug, Default, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Effects {
+    #[serde(default)]
+    pub vehicle: VehicleEffects,
+    #[serde(default)]
+    pub gyro: GyroEffects,
+    #[serde(default)]
+    pub accel: AccelEffects,
+    #[serde(default)]
+    pub mag: MagEffects,
+}
+
+#[derive(Clone, Debug, Default, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct VehicleEffects {
+    pub linear_drag: Option<LinearDrag>,
+    pub rotor_gyroscopic: Option<RotorGyroscopic>,
+    pub motor_lag: Option<MotorLag>,
+}
+
+/// A of eqs 11-13, north, east, down.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct LinearDrag {
+    pub a_kg_per_s: [f64; 3],
+}
+
+/// J_r of eqs 8-9: the vehicle's own.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct RotorGyroscopic {}
+
+/// First-order lag of the rotor speeds.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct MotorLag {
+    pub tau_s: f64,
+}
+
+#[derive(Clone, Debug, Default, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct GyroEffects {
+    pub white_noise: Option<GyroWhiteNoise>,
+}
+
+/// Angle random walk N of eq 16; without a figure, the preset's.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct GyroWhiteNoise {
+    pub n_deg_per_sqrt_h: Option<[f64; 3]>,
+}
+
+#[derive(Clone, Debug, Default, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct AccelEffects {
+    pub white_noise: Option<AccelWhiteNoise>,
+}
+
+/// Velocity random walk N of eq 16; without a figure, the preset's.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct AccelWhiteNoise {
+    pub n_m_s2_per_sqrt_hz: Option<[f64; 3]>,
+}
+
+#[derive(Clone, Debug, Default, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct MagEffects {
+    pub hard_iron: Option<HardIron>,
+    pub white_noise: Option<MagWhiteNoise>,
+}
+
+/// Field that turns with the vehicle (eq 17's +200 µT on y).
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct HardIron {
+    pub field_ut: [f64; 3],
+}
+
+/// A of eq 17, as a density so that the rate does not change it; without a figure, the preset's.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct MagWhiteNoise {
+    pub n_ut_per_sqrt_hz: Option<[f64; 3]>,
+}
+
+impl Effects {
+    pub fn names(&self) -> Vec<&'static str> {
+        [
+            ("vehicle.motor_lag", self.vehicle.motor_lag.is_some()),
+            ("vehicle.linear_drag", self.vehicle.linear_drag.is_some()),
+            ("vehicle.rotor_gyroscopic", self.vehicle.rotor_gyroscopic.is_some()),
+            ("gyro.white_noise", self.gyro.white_noise.is_some()),
+            ("accel.white_noise", self.accel.white_noise.is_some()),
+            ("mag.hard_iron", self.mag.hard_iron.is_some()),
+            ("mag.white_noise", self.mag.white_noise.is_some()),
+        ]
+        .into_iter()
+        .filter_map(|(name, named)| named.then_some(name))
+        .collect()
+    }
+
+    pub fn validate(&self) -> Result<(), InputError> {
+        let each = |field: &str, values: Option<[f64; 3]>, low: f64, high: f64, unit: &str| {
+            values.into_iter().flatten().try_for_each(|value| within(field, value, low, high, unit))
+        };
+        let v = &self.vehicle;
+        each(
+            "effects.vehicle.linear_drag.a_kg_per_s",
+            v.linear_drag.as_ref().map(|e| e.a_kg_per_s),
+            0.0,
+            1e3,
+            "kg/s",
+        )?;
+        if let Some(lag) = &v.motor_lag {
+            within("effects.vehicle.motor_lag.tau_s", lag.tau_s, 1e-5, 10.0, "s")?;
+        }
+        each(
+            "effects.gyro.white_noise.n_deg_per_sqrt_h",
+            self.gyro.white_noise.as_ref().and_then(|e| e.n_deg_per_sqrt_h),
+            0.0,
+            1e3,
+            "deg/√h",
+        )?;
+        each(
+            "effects.accel.white_noise.n_m_s2_per_sqrt_hz",
+            self.accel.white_noise.as_ref().and_then(|e| e.n_m_s2_per_sqrt_hz),
+            0.0,
+            10.0,
+            "m/s²/√Hz",
+        )?;
+        each(
+            "effects.mag.hard_iron.field_ut",
+            self.mag.hard_iron.as_ref().map(|e| e.field_ut),
+            -1e4,
+            1e4,
+            "µT",
+        )?;
+        each(
+            "effects.mag.white_noise.n_ut_per_sqrt_hz",
+            self.mag.white_noise.as_ref().and_then(|e| e.n_ut_per_sqrt_hz),
+            0.0,
+            100.0,
+            "µT/√Hz",
+        )
+    }
+}
+
+/// A sensor board: the figures that a scene's effects take when they name none, and the converters.
+#[derive(Clone, Debug)]
+pub(super) struct ImuPreset {
+    pub gyro_n_deg_per_sqrt_h: [f64; 3],
+    pub accel_n_m_s2_per_sqrt_hz: [f64; 3],
+    pub mag_n_ut_per_sqrt_hz: [f64; 3],
+    gyro_lsb_per_deg_s: f64,
+    accel_lsb_per_g: f64,
+    mag_lsb_per_gauss: f64,
+}
+
+/// The paper's table 2. It names no chips and gives no magnetometer noise: the converters are those of an
+/// ICM-42688-P (±2,000 °/s and ±16 g over 16 bits, datasheet DS-000347 tables 1 and 2) and a QMC5883L (±8 G
+/// over 16 bits, its datasheet's table 2), and 0.03 µT/√Hz is our choice: 0.3 µT a sample at 100 Hz.
+const PAPER: ImuPreset = ImuPreset {
+    gyro_n_deg_per_sqrt_h: [1.9368, 1.239, 1.239],
+    accel_n_m_s2_per_sqrt_hz: [0.0012, 0.0012, 0.0014],
+    mag_n_ut_per_sqrt_hz: [0.03; 3],
+    gyro_lsb_per_deg_s: 16.4,
+    accel_lsb_per_g: 2048.0,
+    mag_lsb_per_gauss: 3000.0,
+};
+
+impl ImuPreset {
+    pub fn by_name(name: &str) -> Result<Self, InputError> {
+        match name {
+            "paper" => Ok(PAPER),
+            other => Err(unknown("scene.imu", other, ["paper"])),
+        }
+    }
+
+    /// Gyroscope (rad/s), accelerometer (m/s²), magnetometer (µT; 1 G is 100 µT).
+    pub fn converters(&self) -> [Converter; 3] {
+        [
+            Converter { per_count: std::f64::consts::PI / 180.0 / self.gyro_lsb_per_deg_s },
+            Converter { per_count: crate::vehicle::GRAVITY / self.accel_lsb_per_g },
+            Converter { per_count: 100.0 / self.mag_lsb_per_gauss },
+        ]
+    }
+}

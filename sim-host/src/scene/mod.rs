@@ -1,0 +1,276 @@
+//! What a scene says: a TOML file, read, checked, and turned into the parts of a flight.
+//!
+//! A scene names the vehicle, the sensors, the pilot and the effects. **An effect that it does not name is
+//! not built.** Every key that exists is in [`file`]; anything else is an error that names the nearest one.
+
+mod built_in;
+mod check;
+mod file;
+
+use std::path::Path;
+
+use flight_core::FlightController;
+use flight_core::calibration::{Calibration, Sensitivity, SensorCalibration};
+use flight_core::config::{Config, Params};
+use flight_core::estimator::EstimatorParams;
+use flight_core::geometry::{Mat3, Vec3, vec3};
+use flight_core::mixer::Airframe;
+
+use crate::input_error::InputError;
+use crate::pilot::{Base, Knowledge, Move, Plan};
+use crate::sensors::{Converter, SensorEffect};
+use crate::vehicle::{BodyEffect, GRAVITY, Ground, Mount, VehicleParams};
+
+pub use built_in::{BUILT_IN, BuiltIn};
+
+/// Steps of the simulation, and samples of gyroscope and accelerometer, per second.
+pub const DEFAULT_RATE_HZ: u32 = 1000;
+
+/// Samples of the magnetometer per second.
+pub const MAG_RATE_HZ: u32 = 100;
+
+/// The Earth's field at Ankara, north, east, down, µT: WMM2025 at 39.93° N, 32.86° E, 0.9 km, in November
+/// 2026 (declination 6.175° east, inclination 58.19°, 48.18 µT).
+pub const FIELD_ANKARA_UT: Vec3<f64> = vec3(25.248, 2.732, 40.940);
+
+/// Who moves the sticks.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PilotScript {
+    /// Times and height.
+    pub plan: Plan,
+    /// What is not in the script.
+    pub base: Base,
+    /// The moves.
+    pub script: Vec<Move>,
+}
+
+/// A checked scene.
+#[derive(Clone, Debug)]
+pub struct Scene {
+    /// Name of a built-in scene, or the file's.
+    pub name: String,
+    /// What the scene is for, in a line.
+    pub description: String,
+    /// Length, s.
+    pub duration_s: f64,
+    /// Seed of every random stream.
+    pub seed: u64,
+    /// The vehicle.
+    pub vehicle: VehicleParams,
+    /// Whether it stands on a ball joint.
+    pub ball_joint: bool,
+    /// Whether a tilt above 90° is meant.
+    pub aerobatic: bool,
+    /// `None`: nobody flies, the vehicle lies on the bench.
+    pub pilot: Option<PilotScript>,
+    /// What flight-core is configured with.
+    pub config: Config,
+    controller: FlightController,
+    /// The sensors' converters: gyro (rad/s), accel (m/s²), mag (µT).
+    pub converters: [Converter; 3],
+    effects: file::Effects,
+    preset: file::ImuPreset,
+}
+
+impl Scene {
+    /// A built-in scene by name, or a scene file by path.
+    ///
+    /// # Errors
+    /// A name that is neither, with the nearest built-in one; anything wrong in the file.
+    pub fn load(name_or_path: &str) -> Result<Self, InputError> {
+        if let Some(scene) = BUILT_IN.iter().find(|scene| scene.name == name_or_path) {
+            return Self::parse(scene.name, scene.text);
+        }
+        let path = Path::new(name_or_path);
+        if !path.exists() {
+            let names = BUILT_IN.iter().map(|scene| scene.name);
+            let near = check::nearest(name_or_path, names.clone());
+            let list = names.collect::<Vec<_>>().join(", ");
+            return Err(InputError::new(format!(
+                "no such file and no built-in scene{near} (there are: {list})"
+            ))
+            .field("SCENE")
+            .value(name_or_path));
+        }
+        let text = std::fs::read_to_string(path)
+            .map_err(|error| InputError::new(format!("cannot be read: {error}")).file(path))?;
+        Self::parse(name_or_path, &text)
+    }
+
+    /// Reads a scene from TOML; `name` is what errors and results call it.
+    pub fn parse(name: &str, text: &str) -> Result<Self, InputError> {
+        if text.trim().is_empty() {
+            return Err(InputError::new("is empty; a scene needs a [scene] table").file(name));
+        }
+        let file: file::SceneFile = check::from_toml(name, text)?;
+        Self::build(name, file).map_err(|error| error.file(name))
+    }
+
+    fn build(name: &str, file: file::SceneFile) -> Result<Self, InputError> {
+        let file::SceneFile { scene, flight, pilot, effects } = file;
+        check::within("scene.duration_s", scene.duration_s, 0.01, 1.0e6, "s")?;
+        let vehicle = scene.vehicle.build()?;
+        let preset = file::ImuPreset::by_name(&scene.imu)?;
+        effects.validate()?;
+        let ball_joint = scene.mount == file::MountName::BallJoint;
+        let pilot = pilot.map(|p| p.build(ball_joint)).transpose()?;
+        let config = flight.build(&vehicle, &preset)?;
+        let controller =
+            FlightController::new(&config).map_err(|e| InputError::new(e.to_string()).field("flight"))?;
+        Ok(Self {
+            name: name.into(),
+            description: scene.description,
+            duration_s: scene.duration_s,
+            seed: scene.seed,
+            vehicle,
+            ball_joint,
+            aerobatic: scene.aerobatic,
+            pilot,
+            config,
+            controller,
+            converters: preset.converters(),
+            effects,
+            preset,
+        })
+    }
+
+    /// The names of the effects that the scene calls for, in the order in which they apply.
+    pub fn effects(&self) -> Vec<&'static str> {
+        self.effects.names()
+    }
+
+    /// How the vehicle is held.
+    pub fn mount(&self) -> Mount {
+        if self.ball_joint { Mount::BallJoint } else { Mount::Free(Ground::new(&self.vehicle)) }
+    }
+
+    /// Forces and torques besides thrust, gravity and ground.
+    pub fn body_effects(&self) -> Vec<BodyEffect> {
+        let mut list = Vec::new();
+        if let Some(drag) = &self.effects.vehicle.linear_drag {
+            list.push(BodyEffect::LinearDrag(drag.a_kg_per_s.into()));
+        }
+        if self.effects.vehicle.rotor_gyroscopic.is_some() {
+            list.push(BodyEffect::RotorGyroscopic(self.vehicle.rotor_inertia_kg_m2));
+        }
+        list
+    }
+
+    /// Time constant of the rotors, s.
+    pub fn motor_lag_s(&self) -> Option<f64> {
+        self.effects.vehicle.motor_lag.as_ref().map(|lag| lag.tau_s)
+    }
+
+    /// Errors of the gyroscope at this rate, rad/s.
+    pub fn gyro_effects(&self, seed: u64, rate_hz: f64) -> Vec<SensorEffect> {
+        let noise = self.effects.gyro.white_noise.as_ref();
+        noise
+            .map(|noise| {
+                let n = Vec3::from(noise.n_deg_per_sqrt_h.unwrap_or(self.preset.gyro_n_deg_per_sqrt_h));
+                // deg/√h to rad/s/√Hz: π/180, and √h = 60 √s.
+                let n = n * (std::f64::consts::PI / 180.0 / 60.0);
+                SensorEffect::white_noise(n, 1.0 / rate_hz, seed, "gyro.white_noise")
+            })
+            .into_iter()
+            .collect()
+    }
+
+    /// Errors of the accelerometer at this rate, m/s².
+    pub fn accel_effects(&self, seed: u64, rate_hz: f64) -> Vec<SensorEffect> {
+        let noise = self.effects.accel.white_noise.as_ref();
+        noise
+            .map(|noise| {
+                let n = Vec3::from(noise.n_m_s2_per_sqrt_hz.unwrap_or(self.preset.accel_n_m_s2_per_sqrt_hz));
+                SensorEffect::white_noise(n, 1.0 / rate_hz, seed, "accel.white_noise")
+            })
+            .into_iter()
+            .collect()
+    }
+
+    /// Errors of the magnetometer at this rate, µT.
+    pub fn mag_effects(&self, seed: u64, rate_hz: f64) -> Vec<SensorEffect> {
+        let mut list = Vec::new();
+        if let Some(iron) = &self.effects.mag.hard_iron {
+            list.push(SensorEffect::HardIron(iron.field_ut.into()));
+        }
+        if let Some(noise) = &self.effects.mag.white_noise {
+            let n = Vec3::from(noise.n_ut_per_sqrt_hz.unwrap_or(self.preset.mag_n_ut_per_sqrt_hz));
+            list.push(SensorEffect::white_noise(n, 1.0 / rate_hz, seed, "mag.white_noise"));
+        }
+        list
+    }
+
+    /// The flight controller, disarmed, at the start of its flight.
+    pub fn controller(&self) -> FlightController {
+        self.controller.clone()
+    }
+
+    /// What the pilot knows of the vehicle.
+    pub fn pilot_knowledge(&self) -> Knowledge {
+        let control = &self.config.params.control;
+        Knowledge {
+            hover_throttle: self.vehicle.mass_kg * GRAVITY / self.vehicle.max_thrust_n(),
+            max_tilt_rad: f64::from(control.max_tilt_rad),
+            max_yaw_rate_rad_s: f64::from(control.max_yaw_rate_rad_s),
+        }
+    }
+}
+
+/// The airframe that flight-core is told of: the vehicle's own figures, rounded to f32.
+fn airframe(vehicle: &VehicleParams) -> Airframe {
+    let Vec3 { x, y, z } = vehicle.inertia_kg_m2;
+    Airframe {
+        thrust_coefficient: vehicle.thrust_coefficient as f32,
+        torque_coefficient: vehicle.torque_coefficient as f32,
+        arm_m: vehicle.arm_m as f32,
+        inertia_kg_m2: vec3(x as f32, y as f32, z as f32),
+        max_rad_s: vehicle.max_rad_s as f32,
+        ..Airframe::OS4
+    }
+}
+
+impl file::Flight {
+    fn build(&self, vehicle: &VehicleParams, preset: &file::ImuPreset) -> Result<Config, InputError> {
+        let (_, estimator) =
+            EstimatorParams::PRESETS.into_iter().find(|(name, _)| *name == self.estimator).ok_or_else(
+                || check::unknown("flight.estimator", &self.estimator, EstimatorParams::PRESETS.map(|p| p.0)),
+            )?;
+        if let Some(cutoff_hz) = self.prefilter_hz {
+            // The magnetometer is the slowest sensor behind a prefilter.
+            check::between("flight.prefilter_hz", cutoff_hz, 0.0, f64::from(MAG_RATE_HZ) / 2.0, "Hz")?;
+        }
+        check::within("flight.declination_deg", self.declination_deg, -180.0, 180.0, "deg")?;
+        let along_body =
+            |c: Converter| Sensitivity { per_count: c.per_count as f32, mounting: Mat3::IDENTITY };
+        let [gyro, accel, mag] = preset.converters().map(along_body);
+        let params = Params {
+            imu_rate_hz: DEFAULT_RATE_HZ as f32,
+            mag_rate_hz: MAG_RATE_HZ as f32,
+            gyro,
+            accel,
+            mag,
+            prefilter_cutoff_hz: self.prefilter_hz.map(|hz| hz as f32),
+            estimator: EstimatorParams {
+                declination_rad: self.declination_deg.to_radians() as f32,
+                ..estimator
+            },
+            airframe: airframe(vehicle),
+            ..Params::default()
+        };
+        let calibration = self.calibration.as_ref().map(|c| {
+            let sensor = |s: &Option<file::SensorCalibrationTable>| {
+                s.as_ref().map_or(SensorCalibration::NONE, |s| SensorCalibration {
+                    bias: Vec3::from(s.bias.map(|b| b as f32)),
+                    matrix: s
+                        .matrix
+                        .map_or(Mat3::IDENTITY, |m| Mat3::from_rows(m.map(|r| r.map(|x| x as f32)))),
+                })
+            };
+            Calibration { gyro: sensor(&c.gyro_rad_s), accel: sensor(&c.accel_m_s2), mag: sensor(&c.mag_ut) }
+        });
+        Ok(Config { params, calibration })
+    }
+}
+
+#[cfg(test)]
+mod tests;
