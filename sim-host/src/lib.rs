@@ -4,6 +4,7 @@
 #![warn(missing_docs)]
 
 pub mod attitude_error;
+pub mod chart;
 pub mod estimate;
 pub mod flight;
 pub mod input_error;
