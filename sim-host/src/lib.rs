@@ -12,6 +12,7 @@ pub mod log;
 pub mod output_file;
 pub mod pilot;
 pub mod random;
+pub mod report;
 pub mod scene;
 pub mod sensors;
 pub mod vehicle;
