@@ -12,5 +12,6 @@ pub mod output_file;
 pub mod pilot;
 pub mod random;
 pub mod scene;
+pub mod sense;
 pub mod sensors;
 pub mod vehicle;
