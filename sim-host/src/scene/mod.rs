@@ -129,7 +129,7 @@ impl Scene {
     /// # Errors
     /// A length outside 0.01 s to 10⁶ s, or one that would land before it takes off.
     pub fn set_duration(&mut self, duration_s: f64) -> Result<(), InputError> {
-        check::within("duration", duration_s, 0.01, 1.0e6, "s")?;
+        check::within("scene.duration_s", duration_s, 0.01, 1.0e6, "s")?;
         if let Some(plan) = self.pilot.as_mut().map(|p| &mut p.plan)
             && let Some(before_end_s) = plan.land_before_end_s
         {
@@ -139,7 +139,7 @@ impl Scene {
                     "must be at least {shortest_s} s: take-off {} s after the start, landing {before_end_s} s before the end",
                     plan.take_off_at_s
                 ))
-                .field("duration")
+                .field("scene.duration_s")
                 .value(duration_s));
             }
         }
@@ -249,8 +249,9 @@ impl file::Flight {
                 || check::unknown("flight.estimator", &self.estimator, EstimatorParams::PRESETS.map(|p| p.0)),
             )?;
         if let Some(cutoff_hz) = self.prefilter_hz {
-            // The magnetometer is the slowest sensor behind a prefilter.
-            check::between("flight.prefilter_hz", cutoff_hz, 0.0, f64::from(MAG_RATE_HZ) / 2.0, "Hz")?;
+            // The slowest sensor behind a prefilter decides.
+            let allowed = "Hz, half the magnetometer's rate";
+            check::between("flight.prefilter_hz", cutoff_hz, 0.0, f64::from(MAG_RATE_HZ) / 2.0, allowed)?;
         }
         check::within("flight.declination_deg", self.declination_deg, -180.0, 180.0, "deg")?;
         let along_body =

@@ -48,6 +48,6 @@ fn a_longer_flight_lands_as_long_before_its_end() {
     let error = scene.set_duration(9.0).unwrap_err().to_string();
     assert_eq!(
         error,
-        "duration = 9: must be at least 13 s: take-off 5 s after the start, landing 8 s before the end"
+        "scene.duration_s = 9: must be at least 13 s: take-off 5 s after the start, landing 8 s before the end"
     );
 }
