@@ -9,6 +9,8 @@
 //! Gyroscope and accelerometer are sampled every step, the magnetometer a hundred times a second, the
 //! receiver fifty times. Time is integer microseconds.
 
+mod log;
+
 use flight_core::geometry::{Quaternion, Vec3, vec3};
 use flight_core::sample::{Health, ImuSample, Input, MagSample, RcFrame};
 use flight_core::{ArmState, FlightController, MotorPermit, Output};
@@ -19,6 +21,8 @@ use crate::pilot::{FRAME_RATE_HZ, Pilot};
 use crate::scene::{DEFAULT_RATE_HZ, FIELD_ANKARA_UT, MAG_RATE_HZ, Scene};
 use crate::sensors::Sensor;
 use crate::vehicle::{State, Vehicle};
+
+pub use log::FlightLog;
 
 /// Length of a step, µs.
 pub const STEP_US: u64 = 1_000_000 / DEFAULT_RATE_HZ as u64;
@@ -67,6 +71,10 @@ pub struct StepView<'a> {
     pub time_us: u64,
     /// The truth at this time.
     pub truth: &'a State,
+    /// What a perfect accelerometer reads, m/s², body axes.
+    pub specific_force: Vec3<f64>,
+    /// Where the pilot wants the vehicle, north, east, down, m.
+    pub target_m: Option<Vec3<f64>>,
     /// True rotor speeds, rad/s.
     pub rotors_rad_s: [f64; 4],
     /// What went into the flight controller.
@@ -136,6 +144,13 @@ pub struct Outcome {
     pub digest: u64,
 }
 
+impl Outcome {
+    /// Time flown, s.
+    pub fn flown_s(&self) -> f64 {
+        (self.control_steps * STEP_US) as f64 * 1e-6
+    }
+}
+
 /// A flight under way.
 pub struct Flight {
     vehicle: Vehicle,
@@ -175,7 +190,7 @@ impl Flight {
         let pilot = scene
             .pilot
             .as_ref()
-            .map(|p| Pilot::new(p.plan, p.base, p.script.clone(), scene.pilot_knowledge(), vehicle.state()));
+            .map(|p| Pilot::new(p, scene.duration_s, scene.pilot_knowledge(), vehicle.state()));
         Self {
             vehicle,
             gyro: Sensor::new(scene.gyro_effects(seed, rate_hz), gyro),
@@ -213,6 +228,8 @@ impl Flight {
         observer.step(&StepView {
             time_us: self.time_us,
             truth: self.vehicle.state(),
+            specific_force: self.vehicle.specific_force(),
+            target_m: self.pilot.as_ref().map(|pilot| pilot.target_m(self.time_us as f64 * 1e-6)),
             rotors_rad_s: self.vehicle.rotors(),
             input: &input,
             output: &output,

@@ -8,6 +8,8 @@ use std::fs::{self, File};
 use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 
+use std::sync::{Mutex, PoisonError};
+
 use tempfile::NamedTempFile;
 
 use crate::input_error::InputError;
@@ -47,6 +49,9 @@ impl OutputFile {
     pub fn create(path: impl AsRef<Path>) -> Result<Self, InputError> {
         let path = path.as_ref().to_path_buf();
         let sink = open(&path).map_err(|error| cannot_write(&path, &error))?;
+        if let Sink::Temporary(file) = &sink {
+            unfinished(|files| files.push(file.path().to_path_buf()));
+        }
         Ok(Self { sink: BufWriter::with_capacity(1 << 16, sink), path })
     }
 
@@ -82,6 +87,20 @@ impl Write for OutputFile {
     fn flush(&mut self) -> io::Result<()> {
         self.sink.flush()
     }
+}
+
+/// Temporary files that are being written, for an interrupt to remove: it ends the program without dropping
+/// anything.
+static UNFINISHED: Mutex<Vec<PathBuf>> = Mutex::new(Vec::new());
+
+fn unfinished<T>(change: impl FnOnce(&mut Vec<PathBuf>) -> T) -> T {
+    change(&mut UNFINISHED.lock().unwrap_or_else(PoisonError::into_inner))
+}
+
+/// Removes every file that has not been finished. Only for a program that is about to end.
+pub fn remove_unfinished() {
+    // What was finished has another name by now, and what was dropped is gone: neither is an error.
+    unfinished(|files| files.drain(..).for_each(|path| drop(fs::remove_file(path))));
 }
 
 fn cannot_write(path: &Path, error: &io::Error) -> InputError {

@@ -71,8 +71,8 @@ pub struct Plan {
     pub take_off_at_s: f64,
     /// Height to hold, m.
     pub height_m: f64,
-    /// Start of the descent, s; `None` stays up.
-    pub land_at_s: Option<f64>,
+    /// Start of the descent, s before the end of the scene; `None` stays up.
+    pub land_before_end_s: Option<f64>,
 }
 
 /// One move of a script: these sticks, from this time, for this long.
@@ -90,6 +90,17 @@ pub struct Move {
     pub pitch: Option<f64>,
     /// −1 (anticlockwise from above) to 1.
     pub yaw: Option<f64>,
+}
+
+/// What a pilot is to do.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PilotScript {
+    /// Times and height.
+    pub plan: Plan,
+    /// What is not in the script.
+    pub base: Base,
+    /// The moves.
+    pub script: Vec<Move>,
 }
 
 /// What the pilot knows of the vehicle.
@@ -134,17 +145,21 @@ pub struct Pilot {
     /// The last [`REACTION_FRAMES`] views, the oldest in front.
     seen: VecDeque<State>,
     home: Vec3<f64>,
+    /// Start of the descent, s.
+    land_at_s: Option<f64>,
     place_integral: Vec3<f64>,
     landed_at_s: Option<f64>,
 }
 
 impl Pilot {
-    /// A pilot who stands by the vehicle at `start`.
-    pub fn new(plan: Plan, base: Base, script: Vec<Move>, knowledge: Knowledge, start: &State) -> Self {
+    /// A pilot who stands by the vehicle at `start`, for a flight of this length.
+    pub fn new(flying: &PilotScript, duration_s: f64, knowledge: Knowledge, start: &State) -> Self {
+        let PilotScript { plan, base, script } = flying.clone();
         Self {
             plan,
             base,
             script,
+            land_at_s: plan.land_before_end_s.map(|before_end_s| duration_s - before_end_s),
             knowledge,
             seen: VecDeque::with_capacity(REACTION_FRAMES + 1),
             home: start.position,
@@ -155,10 +170,10 @@ impl Pilot {
 
     /// Where the pilot wants the vehicle at time `t_s`, north, east, down, m.
     pub fn target_m(&self, t_s: f64) -> Vec3<f64> {
-        let Plan { take_off_at_s, height_m, land_at_s, .. } = self.plan;
+        let Plan { take_off_at_s, height_m, .. } = self.plan;
         let climbed = ((t_s - take_off_at_s) * CLIMB_M_S).clamp(0.0, height_m);
         // The descent goes on below the ground, so that the vehicle settles on it.
-        let descended = land_at_s.map_or(0.0, |at| ((t_s - at) * DESCENT_M_S).max(0.0));
+        let descended = self.land_at_s.map_or(0.0, |at| ((t_s - at) * DESCENT_M_S).max(0.0));
         let height = (climbed - descended).max(-0.5);
         Vec3 { z: self.home.z - height, ..self.home }
     }
@@ -174,7 +189,7 @@ impl Pilot {
     }
 
     fn sticks(&mut self, t_s: f64, view: &State) -> Sticks {
-        let Plan { arm_at_s, take_off_at_s, land_at_s, .. } = self.plan;
+        let Plan { arm_at_s, take_off_at_s, .. } = self.plan;
         if (arm_at_s..arm_at_s + ARM_GESTURE_S).contains(&t_s) {
             return Sticks::ARM;
         }
@@ -185,7 +200,7 @@ impl Pilot {
             // Throttle down, a breath, then the gesture.
             return if t_s - since > 0.5 { Sticks::DISARM } else { Sticks::LOW };
         }
-        if land_at_s.is_some_and(|at| t_s > at) && self.is_down(t_s, view) {
+        if self.land_at_s.is_some_and(|at| t_s > at) && self.is_down(t_s, view) {
             self.landed_at_s = Some(t_s);
             return Sticks::LOW;
         }
@@ -259,7 +274,11 @@ mod tests {
 
     const KNOWLEDGE: Knowledge =
         Knowledge { hover_throttle: 0.5, max_tilt_rad: 0.785, max_yaw_rate_rad_s: 1.57 };
-    const PLAN: Plan = Plan { arm_at_s: 1.0, take_off_at_s: 3.0, height_m: 2.0, land_at_s: None };
+    const PLAN: Plan = Plan { arm_at_s: 1.0, take_off_at_s: 3.0, height_m: 2.0, land_before_end_s: None };
+
+    fn hold() -> PilotScript {
+        PilotScript { plan: PLAN, base: Base::Hold, script: vec![] }
+    }
 
     fn at(position: Vec3<f64>) -> State {
         State { position, velocity: Vec3::ZERO, attitude: Quaternion::IDENTITY, rates: Vec3::ZERO }
@@ -268,7 +287,7 @@ mod tests {
     #[test]
     fn arms_by_the_sticks_before_taking_off() {
         let ground = at(vec3(0.0, 0.0, -0.05));
-        let mut pilot = Pilot::new(PLAN, Base::Hold, vec![], KNOWLEDGE, &ground);
+        let mut pilot = Pilot::new(&hold(), 60.0, KNOWLEDGE, &ground);
         assert_eq!(pilot.frame(0.0, &ground).channels, [172, 992, 992, 992]);
         assert_eq!(pilot.frame(1.5, &ground).channels, [172, 992, 992, 1811]);
         assert_eq!(pilot.frame(2.5, &ground).channels, [172, 992, 992, 992]);
@@ -278,7 +297,7 @@ mod tests {
     #[test]
     fn steers_back_and_sees_late() {
         let start = at(vec3(0.0, 0.0, -0.05));
-        let mut pilot = Pilot::new(PLAN, Base::Hold, vec![], KNOWLEDGE, &start);
+        let mut pilot = Pilot::new(&hold(), 60.0, KNOWLEDGE, &start);
         let home = at(vec3(0.0, 0.0, -2.05));
         let off = at(vec3(1.0, 1.0, -2.05));
         for _ in 0..=REACTION_FRAMES {
@@ -303,7 +322,8 @@ mod tests {
             pitch: None,
             yaw: None,
         }];
-        let mut pilot = Pilot::new(PLAN, Base::Centred { throttle: 0.5 }, script, KNOWLEDGE, &start);
+        let flying = PilotScript { base: Base::Centred { throttle: 0.5 }, script, ..hold() };
+        let mut pilot = Pilot::new(&flying, 60.0, KNOWLEDGE, &start);
         assert_eq!(pilot.frame(4.98, &start).channels, [992, 992, 992, 992]);
         assert_eq!(pilot.frame(5.0, &start).channels, [992, 1538, 992, 992]);
         assert_eq!(pilot.frame(7.0, &start).channels[1], 992);

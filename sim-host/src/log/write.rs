@@ -21,20 +21,37 @@ pub struct LogWriter {
 impl LogWriter {
     /// Begins the log that will be `path`.
     pub fn create(path: impl AsRef<Path>) -> Result<Self, InputError> {
+        Self::create_with(path, &[])
+    }
+
+    /// Begins a log with further columns after the common ones, which readers of logs ignore.
+    pub fn create_with(path: impl AsRef<Path>, further: &[&str]) -> Result<Self, InputError> {
         let file = OutputFile::create(path)?;
         let mut writer = Self { file, line: COLUMNS.join(",") };
+        for name in further {
+            writer.line.push(',');
+            writer.line.push_str(name);
+        }
         writer.end_line()?;
         Ok(writer)
     }
 
     /// Writes one row. What is `None` becomes empty cells.
     pub fn write(&mut self, row: &LogRow) -> Result<(), InputError> {
+        self.write_with(row, &[])
+    }
+
+    /// Writes one row with the values of the further columns.
+    pub fn write_with(&mut self, row: &LogRow, further: &[f64]) -> Result<(), InputError> {
         self.cell(row.time_s);
         row.gyro_rad_s.into_iter().for_each(|x| self.cell(x));
         row.accel_m_s2.into_iter().for_each(|x| self.cell(x));
         self.cells(row.mag_ut);
         self.cells(row.reference);
         self.line.push(if row.moving { '1' } else { '0' });
+        for x in further {
+            write!(self.line, ",{x}").expect("a String takes everything");
+        }
         self.end_line()
     }
 

@@ -3,10 +3,9 @@
 use flight_core::geometry::Vec3;
 use serde::Deserialize;
 
-use super::PilotScript;
 use super::check::{unknown, within};
 use crate::input_error::InputError;
-use crate::pilot::{Base, Move, Plan};
+use crate::pilot::{Base, Move, PilotScript, Plan};
 use crate::sensors::Converter;
 use crate::vehicle::VehicleParams;
 
@@ -162,7 +161,7 @@ pub(super) struct Pilot {
     arm_at_s: f64,
     take_off_at_s: f64,
     height_m: Option<f64>,
-    land_at_s: Option<f64>,
+    land_before_end_s: Option<f64>,
     /// What the sticks do that no `[[pilot.move]]` names.
     base: Option<BaseName>,
     /// With `base = "centred"`.
@@ -202,8 +201,8 @@ impl Pilot {
         within("pilot.arm_at_s", self.arm_at_s, 0.0, 1e6, "s")?;
         // The gesture is held for 1.2 s, and the sticks come back in 0.3.
         within("pilot.take_off_at_s", self.take_off_at_s, self.arm_at_s + 1.5, 1e6, "s")?;
-        if let Some(land_at_s) = self.land_at_s {
-            within("pilot.land_at_s", land_at_s, self.take_off_at_s, 1e6, "s")?;
+        if let Some(before_end_s) = self.land_before_end_s {
+            within("pilot.land_before_end_s", before_end_s, 0.0, 1e6, "s")?;
         }
         if self.kind == PilotKind::Hold && !self.moves.is_empty() {
             return Err(InputError::new("a pilot of kind \"hold\" has none; use kind = \"script\"")
@@ -250,8 +249,8 @@ impl Pilot {
             let MoveTable { at_s, for_s, throttle, roll, pitch, yaw } = *m;
             script.push(Move { at_s, for_s, throttle, roll, pitch, yaw });
         }
-        let Self { arm_at_s, take_off_at_s, land_at_s, .. } = *self;
-        Ok(PilotScript { plan: Plan { arm_at_s, take_off_at_s, height_m, land_at_s }, base, script })
+        let Self { arm_at_s, take_off_at_s, land_before_end_s, .. } = *self;
+        Ok(PilotScript { plan: Plan { arm_at_s, take_off_at_s, height_m, land_before_end_s }, base, script })
     }
 }
 

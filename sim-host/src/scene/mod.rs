@@ -17,7 +17,7 @@ use flight_core::geometry::{Mat3, Vec3, vec3};
 use flight_core::mixer::Airframe;
 
 use crate::input_error::InputError;
-use crate::pilot::{Base, Knowledge, Move, Plan};
+use crate::pilot::{Knowledge, PilotScript};
 use crate::sensors::{Converter, SensorEffect};
 use crate::vehicle::{BodyEffect, GRAVITY, Ground, Mount, VehicleParams};
 
@@ -32,17 +32,6 @@ pub const MAG_RATE_HZ: u32 = 100;
 /// The Earth's field at Ankara, north, east, down, µT: WMM2025 at 39.93° N, 32.86° E, 0.9 km, in November
 /// 2026 (declination 6.175° east, inclination 58.19°, 48.18 µT).
 pub const FIELD_ANKARA_UT: Vec3<f64> = vec3(25.248, 2.732, 40.940);
-
-/// Who moves the sticks.
-#[derive(Clone, Debug, PartialEq)]
-pub struct PilotScript {
-    /// Times and height.
-    pub plan: Plan,
-    /// What is not in the script.
-    pub base: Base,
-    /// The moves.
-    pub script: Vec<Move>,
-}
 
 /// A checked scene.
 #[derive(Clone, Debug)]
@@ -108,7 +97,6 @@ impl Scene {
 
     fn build(name: &str, file: file::SceneFile) -> Result<Self, InputError> {
         let file::SceneFile { scene, flight, pilot, effects } = file;
-        check::within("scene.duration_s", scene.duration_s, 0.01, 1.0e6, "s")?;
         let vehicle = scene.vehicle.build()?;
         let preset = file::ImuPreset::by_name(&scene.imu)?;
         effects.validate()?;
@@ -117,7 +105,7 @@ impl Scene {
         let config = flight.build(&vehicle, &preset)?;
         let controller =
             FlightController::new(&config).map_err(|e| InputError::new(e.to_string()).field("flight"))?;
-        Ok(Self {
+        let mut built = Self {
             name: name.into(),
             description: scene.description,
             duration_s: scene.duration_s,
@@ -131,7 +119,32 @@ impl Scene {
             converters: preset.converters(),
             effects,
             preset,
-        })
+        };
+        built.set_duration(scene.duration_s)?;
+        Ok(built)
+    }
+
+    /// Makes the flight longer or shorter; a landing keeps its distance from the end.
+    ///
+    /// # Errors
+    /// A length outside 0.01 s to 10⁶ s, or one that would land before it takes off.
+    pub fn set_duration(&mut self, duration_s: f64) -> Result<(), InputError> {
+        check::within("scene.duration_s", duration_s, 0.01, 1.0e6, "s")?;
+        if let Some(plan) = self.pilot.as_mut().map(|p| &mut p.plan)
+            && let Some(before_end_s) = plan.land_before_end_s
+        {
+            let shortest_s = plan.take_off_at_s + before_end_s;
+            if duration_s < shortest_s {
+                return Err(InputError::new(format!(
+                    "must be at least {shortest_s} s: take-off {} s after the start, landing {before_end_s} s before the end",
+                    plan.take_off_at_s
+                ))
+                .field("scene.duration_s")
+                .value(duration_s));
+            }
+        }
+        self.duration_s = duration_s;
+        Ok(())
     }
 
     /// The names of the effects that the scene calls for, in the order in which they apply.
@@ -236,8 +249,9 @@ impl file::Flight {
                 || check::unknown("flight.estimator", &self.estimator, EstimatorParams::PRESETS.map(|p| p.0)),
             )?;
         if let Some(cutoff_hz) = self.prefilter_hz {
-            // The magnetometer is the slowest sensor behind a prefilter.
-            check::between("flight.prefilter_hz", cutoff_hz, 0.0, f64::from(MAG_RATE_HZ) / 2.0, "Hz")?;
+            // The slowest sensor behind a prefilter decides.
+            let allowed = "Hz, half the magnetometer's rate";
+            check::between("flight.prefilter_hz", cutoff_hz, 0.0, f64::from(MAG_RATE_HZ) / 2.0, allowed)?;
         }
         check::within("flight.declination_deg", self.declination_deg, -180.0, 180.0, "deg")?;
         let along_body =

@@ -1,0 +1,48 @@
+//! How fast the simulator is: `cargo bench -p sim-host`. Items are control steps, samples, updates, draws.
+
+use divan::counter::ItemsCount;
+use divan::{Bencher, black_box};
+use flight_core::estimator::{Estimator, EstimatorParams};
+use flight_core::geometry::vec3;
+use sim_host::flight::Flight;
+use sim_host::random::NormalStream;
+use sim_host::scene::Scene;
+use sim_host::sense;
+
+fn main() {
+    divan::main();
+}
+
+/// A whole flight: 1 kHz control, RK4, all sensors.
+#[divan::bench(args = ["hover", "steps", "stand-steps"])]
+fn fly(bencher: Bencher, name: &str) {
+    let scene = Scene::load(name).expect("a built-in scene");
+    let steps = Flight::new(&scene, scene.seed).run(&mut ()).control_steps;
+    bencher.counter(ItemsCount::new(steps)).bench(|| Flight::new(black_box(&scene), scene.seed).run(&mut ()));
+}
+
+/// Nine axes of sensor samples on the bench.
+#[divan::bench]
+fn sense_static(bencher: Bencher) {
+    let scene = Scene::load("static").expect("a built-in scene");
+    let samples = sense::run(&scene, scene.seed, 1000, None).expect("nothing is written");
+    bencher.counter(ItemsCount::new(samples)).bench(|| sense::run(black_box(&scene), scene.seed, 1000, None));
+}
+
+/// One 9-axis update.
+#[divan::bench(args = ["paper", "paper-literal", "flight"])]
+fn estimator(bencher: Bencher, name: &str) {
+    let (_, params) = EstimatorParams::PRESETS.into_iter().find(|p| p.0 == name).expect("a preset");
+    let mut estimator = Estimator::new(&params).expect("presets are valid");
+    let (gyro, accel, mag) = (vec3(0.1, -0.2, 0.3), vec3(0.5, -0.3, -9.7), Some(vec3(25.0, 3.0, 41.0)));
+    bencher.counter(ItemsCount::new(1_u32)).bench_local(|| {
+        estimator.update(black_box(gyro), black_box(accel), black_box(mag), 1e-3);
+    });
+}
+
+/// One draw from the normal distribution.
+#[divan::bench]
+fn normal(bencher: Bencher) {
+    let mut stream = NormalStream::new(1, "bench", 0);
+    bencher.counter(ItemsCount::new(1_u32)).bench_local(|| stream.draw());
+}

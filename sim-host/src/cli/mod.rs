@@ -1,0 +1,188 @@
+//! The command line: arguments in, a result for people or for programs out.
+
+mod fly;
+mod listing;
+mod progress;
+mod recordings;
+
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand, ValueEnum};
+use serde_json::Value;
+use sim_host::input_error::InputError;
+use sim_host::{log, output_file};
+
+/// Exit code of a flight or a check that failed.
+const FAILED: u8 = 1;
+/// Exit code of bad input or usage; clap's own for usage.
+const BAD_INPUT: u8 = 2;
+/// Exit code after Ctrl-C, as shells have it: 128 + SIGINT.
+const INTERRUPTED: i32 = 130;
+
+#[derive(Parser)]
+#[command(name = "sim-host", version, about = "The world that Kestrel's flight code flies in", long_about = None)]
+#[command(arg_required_else_help = true)]
+struct Arguments {
+    /// Print one JSON object on standard output and nothing else there
+    #[arg(long, global = true)]
+    json: bool,
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    /// Fly a scene in closed loop, judged on the truth
+    Fly(FlyArguments),
+    /// Sample the sensors of a scene, with truth columns
+    Sense(SenseArguments),
+    /// Run the flight code's estimators over a recorded log
+    Estimate(EstimateArguments),
+    /// List the built-in scenes and their effects
+    Scenes,
+}
+
+#[derive(clap::Args)]
+struct FlyArguments {
+    /// A built-in scene or a scene file
+    #[arg(default_value = "hover")]
+    scene: String,
+    /// Seed of every random stream, instead of the scene's
+    #[arg(long, value_name = "N")]
+    seed: Option<u64>,
+    /// Length of the flight in seconds, instead of the scene's
+    #[arg(long, value_name = "S")]
+    duration: Option<f64>,
+    /// Fly this many times, with seeds counting up
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u64).range(1..=1_000_000))]
+    runs: u64,
+    /// Write the sensor log, truth and pulses of the flight
+    #[arg(long, value_name = "F.csv", conflicts_with = "runs")]
+    log: Option<PathBuf>,
+}
+
+#[derive(clap::Args)]
+struct SenseArguments {
+    /// A built-in scene or a scene file
+    scene: String,
+    /// Where to write the log; without it the samples are only generated
+    #[arg(long, value_name = "F.csv")]
+    out: Option<PathBuf>,
+    /// Seed of every random stream, instead of the scene's
+    #[arg(long, value_name = "N")]
+    seed: Option<u64>,
+    /// Length in seconds, instead of the scene's
+    #[arg(long, value_name = "S")]
+    duration: Option<f64>,
+    /// Samples per second
+    #[arg(long, value_name = "R", default_value_t = sim_host::scene::DEFAULT_RATE_HZ)]
+    rate_hz: u32,
+}
+
+#[derive(clap::Args)]
+struct EstimateArguments {
+    /// The log
+    log: PathBuf,
+    /// Which estimators to run (paper, paper-literal, flight); all without this
+    #[arg(long, value_name = "NAME", num_args = 1..)]
+    estimator: Vec<String>,
+    /// Axes of the log: north-east-down and forward-right-down, or east-north-up with a z-up body
+    #[arg(long, value_enum, default_value_t = FrameName::Ned)]
+    frame: FrameName,
+    /// Sign of the accelerometer: specific force a − g, or its negative
+    #[arg(long, value_enum, default_value_t = SignName::Reaction)]
+    accel_sign: SignName,
+    /// Cutoff of a Butterworth prefilter on all axes; none without this
+    #[arg(long, value_name = "F")]
+    prefilter_hz: Option<f64>,
+    /// Write the estimated attitudes and their errors, row by row
+    #[arg(long, value_name = "F.csv")]
+    out: Option<PathBuf>,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum FrameName {
+    Ned,
+    Enu,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum SignName {
+    Reaction,
+    Inverted,
+}
+
+impl From<FrameName> for log::Frame {
+    fn from(name: FrameName) -> Self {
+        match name {
+            FrameName::Ned => Self::Ned,
+            FrameName::Enu => Self::Enu,
+        }
+    }
+}
+
+impl From<SignName> for log::AccelSign {
+    fn from(name: SignName) -> Self {
+        match name {
+            SignName::Reaction => Self::Reaction,
+            SignName::Inverted => Self::Inverted,
+        }
+    }
+}
+
+/// What a command found, in both forms.
+struct Answer {
+    json: Value,
+    text: String,
+    failed: bool,
+}
+
+/// Runs the program.
+pub fn run() -> ExitCode {
+    let arguments = Arguments::parse();
+    // Without a handler Ctrl-C still ends the program; it would only leave a temporary file behind.
+    let _ = ctrlc::set_handler(|| {
+        output_file::remove_unfinished();
+        std::process::exit(INTERRUPTED);
+    });
+    let answer = match &arguments.command {
+        Command::Fly(a) => fly::run(a),
+        Command::Sense(a) => recordings::sense(a),
+        Command::Estimate(a) => recordings::estimate(a),
+        Command::Scenes => listing::scenes(),
+    };
+    match answer {
+        Ok(answer) => {
+            let line = if arguments.json { answer.json.to_string() } else { answer.text };
+            print(line.trim_end());
+            if answer.failed { ExitCode::from(FAILED) } else { ExitCode::SUCCESS }
+        }
+        Err(error) => {
+            eprintln!("error: {error}");
+            ExitCode::from(BAD_INPUT)
+        }
+    }
+}
+
+/// Prints to standard output. A reader that has gone away (`| head`) is no error.
+fn print(text: &str) {
+    use std::io::Write as _;
+    let _ = writeln!(std::io::stdout(), "{text}");
+}
+
+/// The scene of an argument, with its overrides.
+fn load(
+    name: &str,
+    seed: Option<u64>,
+    duration_s: Option<f64>,
+) -> Result<sim_host::scene::Scene, InputError> {
+    let mut scene = sim_host::scene::Scene::load(name)?;
+    if let Some(seed) = seed {
+        scene.seed = seed;
+    }
+    if let Some(duration_s) = duration_s {
+        scene.set_duration(duration_s).map_err(|error| error.field("--duration"))?;
+    }
+    Ok(scene)
+}

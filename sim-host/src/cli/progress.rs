@@ -1,0 +1,43 @@
+//! Progress bars, on standard error and only on a terminal.
+
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use sim_host::flight::{Observer, StepView};
+
+/// A bar for this many of something.
+pub fn bar(length: u64, what: &str) -> ProgressBar {
+    let bar = ProgressBar::with_draw_target(Some(length), ProgressDrawTarget::stderr());
+    let style = ProgressStyle::with_template("{msg} {wide_bar} {percent:>3} %  {eta} left");
+    bar.with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar())).with_message(what.to_owned())
+}
+
+/// A bar over the seconds of a flight.
+pub struct FlightProgress {
+    bar: ProgressBar,
+    steps_to_next: u32,
+}
+
+/// Steps between two looks at the terminal: 10 simulated seconds.
+const STEPS_PER_LOOK: u32 = 10_000;
+
+impl FlightProgress {
+    /// For a flight of this length.
+    pub fn new(duration_s: f64, what: &str) -> Self {
+        Self { bar: bar(duration_s as u64, what), steps_to_next: STEPS_PER_LOOK }
+    }
+
+    /// Takes the bar away.
+    pub fn finish(self) {
+        self.bar.finish_and_clear();
+    }
+}
+
+impl Observer for FlightProgress {
+    #[inline(always)]
+    fn step(&mut self, view: &StepView) {
+        self.steps_to_next -= 1;
+        if self.steps_to_next == 0 {
+            self.steps_to_next = STEPS_PER_LOOK;
+            self.bar.set_position(view.time_us / 1_000_000);
+        }
+    }
+}

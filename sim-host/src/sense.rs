@@ -1,0 +1,120 @@
+//! The command `sense`: what the sensors of a scene read, with the truth beside it.
+//!
+//! A scene with a pilot is flown, and its sensors are sampled on the way. A scene without one lies on the
+//! bench, where nothing but the sensors has to be computed.
+
+use flight_core::geometry::Vec3;
+
+use crate::flight::{Flight, Observer, STEP_US, StepView};
+use crate::input_error::InputError;
+use crate::log::{LogRow, LogWriter};
+use crate::scene::{DEFAULT_RATE_HZ, FIELD_ANKARA_UT, MAG_RATE_HZ, Scene};
+use crate::sensors::Sensor;
+use crate::vehicle::{State, Vehicle};
+
+/// The three sensors at a rate of one's own.
+struct Sampler<'a> {
+    gyro: Sensor,
+    accel: Sensor,
+    mag: Sensor,
+    /// Samples of gyroscope and accelerometer to one of the magnetometer.
+    mag_every: u64,
+    samples: u64,
+    out: Option<&'a mut LogWriter>,
+    failed: Option<InputError>,
+}
+
+impl<'a> Sampler<'a> {
+    fn new(scene: &Scene, seed: u64, rate_hz: u32, out: Option<&'a mut LogWriter>) -> Self {
+        let [gyro, accel, mag] = scene.converters;
+        let mag_every = u64::from(rate_hz / MAG_RATE_HZ).max(1);
+        let rate_hz = f64::from(rate_hz);
+        Self {
+            gyro: Sensor::new(scene.gyro_effects(seed, rate_hz), gyro),
+            accel: Sensor::new(scene.accel_effects(seed, rate_hz), accel),
+            mag: Sensor::new(scene.mag_effects(seed, rate_hz / mag_every as f64), mag),
+            mag_every,
+            samples: 0,
+            out,
+            failed: None,
+        }
+    }
+
+    /// Takes one sample of the truth at time `time_s`.
+    #[inline(always)]
+    fn sample(&mut self, time_s: f64, truth: &State, specific_force: Vec3<f64>, moving: bool) {
+        let gyro = self.gyro.sample(truth.rates);
+        let accel = self.accel.sample(specific_force);
+        let mag = self
+            .samples
+            .is_multiple_of(self.mag_every)
+            .then(|| self.mag.sample(truth.attitude.to_matrix().transpose() * FIELD_ANKARA_UT));
+        self.samples += 1;
+        let Some(out) = &mut self.out else {
+            // The throughput figure must not be that of a loop that was optimised away.
+            std::hint::black_box((gyro, accel, mag));
+            return;
+        };
+        let row = LogRow {
+            time_s,
+            gyro_rad_s: self.gyro.nominal(gyro).into(),
+            accel_m_s2: self.accel.nominal(accel).into(),
+            mag_ut: mag.map(|counts| self.mag.nominal(counts).into()),
+            reference: Some(truth.attitude.to_array()),
+            moving,
+        };
+        if self.failed.is_none() {
+            self.failed = out.write(&row).err();
+        }
+    }
+}
+
+/// Samples a flight that goes on at its own rate.
+struct InFlight<'a> {
+    sampler: Sampler<'a>,
+    interval_us: u64,
+}
+
+impl Observer for InFlight<'_> {
+    fn step(&mut self, view: &StepView) {
+        if view.time_us.is_multiple_of(self.interval_us) {
+            let moving = view.output.permit.is_some();
+            self.sampler.sample(view.time_us as f64 * 1e-6, view.truth, view.specific_force, moving);
+        }
+    }
+}
+
+/// Samples the scene's sensors at `rate_hz` with this seed, into `out` if there is one; returns the number
+/// of samples.
+///
+/// # Errors
+/// A rate that the scene can't be sampled at; a log that can't be written.
+pub fn run(scene: &Scene, seed: u64, rate_hz: u32, out: Option<&mut LogWriter>) -> Result<u64, InputError> {
+    let refused = |allowed: &str| Err(InputError::new(allowed).field("--rate-hz").value(rate_hz));
+    let sampler = if scene.pilot.is_some() {
+        if rate_hz == 0 || !DEFAULT_RATE_HZ.is_multiple_of(rate_hz) {
+            return refused("a scene that flies is sampled at 1000 Hz or a whole fraction of it");
+        }
+        let sampler = Sampler::new(scene, seed, rate_hz, out);
+        let interval_us = STEP_US * u64::from(DEFAULT_RATE_HZ / rate_hz);
+        let mut observer = InFlight { sampler, interval_us };
+        Flight::new(scene, seed).run(&mut observer);
+        observer.sampler
+    } else {
+        if !(1..=32_000).contains(&rate_hz) {
+            return refused("must be from 1 to 32000 Hz");
+        }
+        let mut sampler = Sampler::new(scene, seed, rate_hz, out);
+        let vehicle = Vehicle::at_rest(scene.vehicle, scene.mount(), vec![], None, 1e-3);
+        let (truth, force) = (*vehicle.state(), vehicle.specific_force());
+        let samples = libm::round(scene.duration_s * f64::from(rate_hz)) as u64;
+        for k in 0..samples {
+            sampler.sample(k as f64 / f64::from(rate_hz), &truth, force, true);
+        }
+        sampler
+    };
+    match sampler.failed {
+        Some(error) => Err(error),
+        None => Ok(sampler.samples),
+    }
+}

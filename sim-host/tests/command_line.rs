@@ -1,0 +1,280 @@
+//! The program as a person or a script meets it: results, bad input, exit codes.
+
+use std::path::Path;
+use std::process::{Command, Output};
+
+use serde_json::Value;
+
+fn sim_host(arguments: &[&str], directory: &Path) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_sim-host")).args(arguments).current_dir(directory).output().unwrap()
+}
+
+fn json(arguments: &[&str]) -> Value {
+    let output = sim_host(arguments, Path::new("."));
+    assert_eq!(output.status.code(), Some(0), "{output:?}");
+    let text = String::from_utf8(output.stdout).unwrap();
+    assert_eq!(text.lines().count(), 1, "one object and nothing else: {text}");
+    serde_json::from_str(&text).unwrap()
+}
+
+const HOVER: &str = include_str!("../scenes/hover.toml");
+
+const LOG: &str = "time_s,gyro_x_rad_s,gyro_y_rad_s,gyro_z_rad_s,accel_x_m_s2,accel_y_m_s2,accel_z_m_s2\n\
+                   0.00,0,0,0,0,0,-9.81\n0.01,0,0,0,0,0,-9.81\n0.02,0,0,0,0,0,-9.81\n";
+
+/// A scene or log that is nearly right, and the one line that says what is wrong with it.
+struct Case {
+    what: &'static str,
+    arguments: &'static [&'static str],
+    file: &'static str,
+    text: String,
+    said: &'static str,
+}
+
+fn scene(what: &'static str, from: &str, to: &str, said: &'static str) -> Case {
+    assert!(HOVER.contains(from), "the scene has no {from}");
+    Case { what, arguments: &["fly", "bad.toml"], file: "bad.toml", text: HOVER.replace(from, to), said }
+}
+
+fn log(what: &'static str, text: String, said: &'static str) -> Case {
+    Case { what, arguments: &["estimate", "bad.csv"], file: "bad.csv", text, said }
+}
+
+fn cases() -> Vec<Case> {
+    vec![
+        scene(
+            "an unknown key",
+            "seed = 7",
+            "sed = 7",
+            "bad.toml:5: unknown field `sed`, expected one of `description`, `duration_s`, `seed`, `vehicle`, \
+             `imu`, `mount`, `aerobatic` (did you mean `seed`?)",
+        ),
+        scene(
+            "an unknown effect",
+            "[effects.gyro.white_noise]",
+            "[effects.gyro.whitenoise]",
+            "bad.toml:28: unknown field `whitenoise`, expected `white_noise` (did you mean `white_noise`?)",
+        ),
+        scene(
+            "a negative mass",
+            "vehicle = \"os4\"",
+            "vehicle = { like = \"os4\", mass_kg = -0.65 }",
+            "bad.toml: scene.vehicle.mass_kg = -0.65: must be from 0.01 to 100 kg",
+        ),
+        scene(
+            "an unknown key of a vehicle",
+            "vehicle = \"os4\"",
+            "vehicle = { like = \"os4\", mass = 0.65 }",
+            "bad.toml:6: scene.vehicle: unknown field `mass`, expected one of `like`, `mass_kg`, `inertia_kg_m2`, \
+             `rotor_inertia_kg_m2`, `arm_m`, `thrust_coefficient_n_s2`, `torque_coefficient_n_m_s2`, \
+             `max_rotor_rad_s`, `leg_m`",
+        ),
+        scene(
+            "a cutoff above Nyquist",
+            "prefilter_hz = 30.0",
+            "prefilter_hz = 50.0",
+            "bad.toml: flight.prefilter_hz = 50: must be above 0 and below 50 Hz, half the magnetometer's rate",
+        ),
+        scene(
+            "an unknown estimator",
+            "estimator = \"flight\"",
+            "estimator = \"fligth\"",
+            "bad.toml: flight.estimator = fligth: must be one of paper, paper-literal, flight (did you mean `flight`?)",
+        ),
+        scene(
+            "a number that is none",
+            "duration_s = 30.0",
+            "duration_s = nan",
+            "bad.toml: scene.duration_s = NaN: must be from 0.01 to 1000000 s",
+        ),
+        scene(
+            "a word for a number",
+            "duration_s = 30.0",
+            "duration_s = \"long\"",
+            "bad.toml:4: invalid type: string \"long\", expected f64",
+        ),
+        scene("no TOML", "[scene]", "[scene", "bad.toml:2: unclosed table, expected `]`"),
+        Case {
+            what: "an empty scene",
+            arguments: &["fly", "bad.toml"],
+            file: "bad.toml",
+            text: String::new(),
+            said: "bad.toml: is empty; a scene needs a [scene] table",
+        },
+        Case {
+            what: "a scene that is not there",
+            arguments: &["fly", "hovr"],
+            file: "unused",
+            text: String::new(),
+            said: "SCENE = hovr: no such file and no built-in scene (did you mean `hover`?) (there are: hover, steps, \
+                   stand-steps, static)",
+        },
+        Case {
+            what: "a duration that leaves no time to land",
+            arguments: &["fly", "hover", "--duration", "6"],
+            file: "unused",
+            text: String::new(),
+            said: "--duration = 6: must be at least 13 s: take-off 5 s after the start, landing 8 s before the end",
+        },
+        Case {
+            what: "a rate that a flight can't be sampled at",
+            arguments: &["sense", "hover", "--rate-hz", "300"],
+            file: "unused",
+            text: String::new(),
+            said: "--rate-hz = 300: a scene that flies is sampled at 1000 Hz or a whole fraction of it",
+        },
+        log("an empty log", String::new(), "bad.csv: the file is empty: a log must begin with a header row"),
+        log(
+            "a log with a NaN",
+            LOG.replace("0.01,0,", "0.01,nan,"),
+            "bad.csv:3: gyro_x_rad_s = nan: must be a number from -1000000 to 1000000",
+        ),
+        log(
+            "a log without a column",
+            LOG.replace("accel_z_m_s2", "accel_w_m_s2"),
+            "bad.csv:1: accel_z_m_s2: the column is missing: a log must have time_s, gyro_{x,y,z}_rad_s and accel_{x,y,z}_m_s2",
+        ),
+        log(
+            "time running backwards",
+            LOG.replace("0.02,", "0.005,"),
+            "bad.csv:4: time_s = 0.005: must be at least 1 µs after the row before it (0.01 s)",
+        ),
+    ]
+}
+
+#[test]
+fn bad_input_is_one_clear_line_and_exit_code_2() {
+    let mut wrong = Vec::new();
+    for case in cases() {
+        let directory = tempfile::tempdir().unwrap();
+        std::fs::write(directory.path().join(case.file), &case.text).unwrap();
+        let output = sim_host(case.arguments, directory.path());
+        let said = String::from_utf8(output.stderr).unwrap();
+        if said != format!("error: {}\n", case.said)
+            || output.status.code() != Some(2)
+            || !output.stdout.is_empty()
+        {
+            wrong.push(format!(
+                "{}: exit {:?}\n  said   {said}  wanted error: {}",
+                case.what, output.status, case.said
+            ));
+        }
+    }
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+}
+
+#[test]
+fn usage_errors_exit_with_2() {
+    for arguments in
+        [&["fyl"][..], &["fly", "--sead", "3"], &["fly", "--runs", "0"], &["fly", "--seed", "x"], &[]]
+    {
+        let output = sim_host(arguments, Path::new("."));
+        assert_eq!(output.status.code(), Some(2), "{arguments:?}");
+        assert!(output.stdout.is_empty() && !output.stderr.is_empty());
+    }
+}
+
+#[test]
+fn nothing_is_left_of_an_output_that_can_not_be_written() {
+    let directory = tempfile::tempdir().unwrap();
+    let output = sim_host(&["fly", "hover", "--log", "missing/log.csv"], directory.path());
+    assert_eq!(output.status.code(), Some(2));
+    assert_eq!(std::fs::read_dir(directory.path()).unwrap().count(), 0);
+}
+
+#[test]
+fn fly_prints_the_keys_of_the_contract() {
+    let flight = json(&["fly", "--json"]);
+    assert_eq!(flight["scene"], "hover");
+    assert_eq!((flight["seed"].as_u64(), flight["control_steps"].as_u64()), (Some(7), Some(30_000)));
+    for key in
+        ["duration_s", "wall_s", "steps_per_s", "real_time_factor", "attitude_rmse_deg", "tilt_max_deg"]
+    {
+        assert!(flight[key].as_f64().is_some_and(|x| x > 0.0), "{key}: {flight}");
+    }
+    assert_eq!(
+        (flight["crashed"].as_bool(), flight["final_state"].as_str()),
+        (Some(false), Some("Disarmed"))
+    );
+    let digest = flight["digest"].as_str().unwrap();
+    assert_eq!(json(&["fly", "hover", "--json"])["digest"], digest);
+    assert_ne!(json(&["fly", "hover", "--seed", "8", "--json"])["digest"], digest);
+}
+
+#[test]
+fn many_runs_are_the_single_flights_in_order() {
+    let many = json(&["fly", "stand-steps", "--runs", "5", "--json"]);
+    let runs = many["runs"].as_array().unwrap();
+    assert_eq!(runs.len(), 5);
+    for (run, seed) in runs.iter().zip(7..) {
+        let single = json(&["fly", "stand-steps", "--seed", &seed.to_string(), "--json"]);
+        assert_eq!((&run["digest"], &run["seed"]), (&single["digest"], &single["seed"]));
+    }
+}
+
+#[test]
+fn a_crash_exits_with_1() {
+    let directory = tempfile::tempdir().unwrap();
+    let steps =
+        include_str!("../scenes/steps.toml").replace("estimator = \"flight\"", "estimator = \"paper\"");
+    std::fs::write(directory.path().join("tips.toml"), steps).unwrap();
+    let output = sim_host(&["fly", "tips.toml", "--json"], directory.path());
+    assert_eq!(output.status.code(), Some(1), "{output:?}");
+    let flight: Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(flight["crashed"], true);
+}
+
+#[test]
+fn the_log_of_a_flight_can_be_estimated_over() {
+    let directory = tempfile::tempdir().unwrap();
+    for arguments in [
+        &["fly", "hover", "--log", "log.csv"][..],
+        &["sense", "hover", "--rate-hz", "500", "--out", "log.csv"],
+    ] {
+        assert_eq!(sim_host(arguments, directory.path()).status.code(), Some(0));
+        let path = directory.path().join("log.csv");
+        let score = json(&["estimate", path.to_str().unwrap(), "--estimator", "flight", "--json"]);
+        let flight = &score["estimators"]["flight"];
+        // The log holds what the sensors read, 200 µT of hard iron included: only the tilt can be right.
+        assert!(flight["inclination_rmse_deg"].as_f64().unwrap() < 0.5, "{score}");
+        assert!(flight["ns_per_update"].as_f64().unwrap() > 0.0);
+    }
+}
+
+#[test]
+fn sense_counts_its_samples_and_writes_the_same_file_twice() {
+    let sense = json(&["sense", "static", "--duration", "2", "--rate-hz", "250", "--json"]);
+    assert_eq!(sense["samples"], 500);
+    let directory = tempfile::tempdir().unwrap();
+    for file in ["a.csv", "b.csv"] {
+        sim_host(&["sense", "static", "--duration", "2", "--out", file], directory.path());
+    }
+    let [a, b] = ["a.csv", "b.csv"].map(|file| std::fs::read(directory.path().join(file)).unwrap());
+    assert_eq!(a.iter().filter(|byte| **byte == b'\n').count(), 2001);
+    assert_eq!(a, b);
+}
+
+#[test]
+fn scenes_lists_effects() {
+    let scenes = json(&["scenes", "--json"]);
+    let list = scenes["scenes"].as_array().unwrap();
+    assert_eq!(list.len(), 4);
+    assert_eq!(list[3]["name"], "static");
+    assert_eq!(list[3]["effects"].as_array().unwrap().len(), 4);
+}
+
+/// glibc picks other code for sin, exp and so on where the processor has FMA and AVX2, with other last bits.
+/// With these paths switched off, a flight must still be the same flight.
+#[test]
+fn the_digest_does_not_depend_on_the_processors_fma() {
+    let with_plain_maths = |tunables: &str| {
+        let output = Command::new(env!("CARGO_BIN_EXE_sim-host"))
+            .args(["fly", "steps", "--json"])
+            .env("GLIBC_TUNABLES", tunables)
+            .output()
+            .unwrap();
+        serde_json::from_slice::<Value>(&output.stdout).unwrap()["digest"].clone()
+    };
+    let off = "glibc.cpu.hwcaps=-AVX2,-AVX2_Usable,-FMA,-FMA_Usable,-FMA4,-FMA4_Usable,-AVX,-AVX_Usable";
+    assert_eq!(with_plain_maths(off), with_plain_maths(""));
+}

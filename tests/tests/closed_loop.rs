@@ -1,0 +1,171 @@
+//! The built-in scenes, flown in closed loop and judged on the truth.
+
+use flight_core::ArmState;
+use sim_host::flight::{Flight, Observer, Outcome, StepView};
+use sim_host::scene::Scene;
+
+fn fly(name: &str, seed: u64) -> Outcome {
+    Flight::new(&Scene::load(name).unwrap(), seed).run(&mut ())
+}
+
+/// A true angle over time, one entry a millisecond, degrees.
+#[derive(Default)]
+struct Tilt {
+    roll_deg: Vec<f64>,
+    pitch_deg: Vec<f64>,
+}
+
+impl Observer for Tilt {
+    fn step(&mut self, view: &StepView) {
+        let down = view.truth.attitude.down();
+        self.roll_deg.push(libm::atan2(down.y, down.z).to_degrees());
+        self.pitch_deg.push(libm::asin(-down.x).to_degrees());
+    }
+}
+
+#[test]
+fn stand_steps_settle_in_the_truth() {
+    let scene = Scene::load("stand-steps").unwrap();
+    let mut tilt = Tilt::default();
+    let outcome = Flight::new(&scene, scene.seed).run(&mut tilt);
+    assert_eq!(outcome.crash, None);
+    assert!(outcome.attitude_rmse_deg <= 1.0, "{outcome:?}");
+    // Roll to the right and left, then nose down (stick forward) and up; each out and back.
+    let steps = [
+        (&tilt.roll_deg, 6000, 0.0, 30.0),
+        (&tilt.roll_deg, 8000, 30.0, 0.0),
+        (&tilt.roll_deg, 10_000, 0.0, -30.0),
+        (&tilt.roll_deg, 12_000, -30.0, 0.0),
+        (&tilt.pitch_deg, 14_000, 0.0, -30.0),
+        (&tilt.pitch_deg, 16_000, -30.0, 0.0),
+        (&tilt.pitch_deg, 18_000, 0.0, 30.0),
+        (&tilt.pitch_deg, 20_000, 30.0, 0.0),
+    ];
+    for (angle, at_ms, from_deg, to_deg) in steps {
+        let held = &angle[at_ms..at_ms + 2000];
+        // How far along its 30° the step is, 1 being there.
+        let along = |deg: &f64| (deg - from_deg) / (to_deg - from_deg);
+        let overshoot = held.iter().map(along).fold(0.0, f64::max) - 1.0;
+        let late = held[600..].iter().map(|deg| (along(deg) - 1.0).abs()).fold(0.0, f64::max);
+        println!("step at {at_ms} ms to {to_deg}°: overshoot {overshoot:.3}, after 0.6 s within {late:.4}");
+        assert!(overshoot <= 0.15, "step at {at_ms} ms overshoots by {overshoot}");
+        assert!(late <= 0.05, "step at {at_ms} ms is off by {late} after 0.6 s");
+    }
+}
+
+#[test]
+fn steps_are_flown_with_the_flight_filter() {
+    let outcome = fly("steps", 7);
+    assert_eq!(outcome.crash, None);
+    assert!(outcome.attitude_rmse_deg <= 2.0 && outcome.tilt_error_max_deg <= 3.0, "{outcome:?}");
+    // The doublets were flown: the vehicle did tilt by 30°.
+    assert!(outcome.tilt_max_deg > 29.0 && outcome.tilt_max_deg < 34.5, "{outcome:?}");
+}
+
+#[test]
+fn hover_stays_within_half_a_metre_lands_and_disarms() {
+    let outcome = fly("hover", 7);
+    assert_eq!((outcome.crash, outcome.final_state), (None, ArmState::Disarmed));
+    assert!(outcome.position_error_max_m <= 0.5 && outcome.attitude_rmse_deg <= 1.0, "{outcome:?}");
+}
+
+#[test]
+fn a_hundred_seeds_of_each_scene_do_not_crash() {
+    for name in ["hover", "steps", "stand-steps"] {
+        let scene = Scene::load(name).unwrap();
+        for seed in 0..100 {
+            let outcome = Flight::new(&scene, seed).run(&mut ());
+            assert_eq!(
+                (outcome.crash, outcome.final_state),
+                (None, ArmState::Disarmed),
+                "{name}, seed {seed}"
+            );
+            assert!(outcome.attitude_rmse_deg <= 1.0, "{name}, seed {seed}: {outcome:?}");
+            if name == "hover" {
+                assert!(outcome.position_error_max_m <= 0.5, "seed {seed}: {outcome:?}");
+            }
+        }
+    }
+}
+
+#[test]
+fn the_same_seed_is_the_same_flight_and_another_is_another() {
+    for name in ["hover", "steps", "stand-steps"] {
+        assert_eq!(fly(name, 7), fly(name, 7));
+        assert_ne!(fly(name, 7).digest, fly(name, 8).digest);
+    }
+}
+
+/// Watches when the motors may turn.
+#[derive(Default)]
+struct Permits {
+    first_us: Option<u64>,
+    without_state: bool,
+    turning_without: bool,
+}
+
+impl Observer for Permits {
+    fn step(&mut self, view: &StepView) {
+        let permitted = view.output.permit.is_some();
+        if permitted && self.first_us.is_none() {
+            self.first_us = Some(view.time_us);
+        }
+        self.without_state |= permitted != (view.output.state == ArmState::Armed);
+        self.turning_without |= !permitted && view.output.pulses_us != [1000.0; 4];
+    }
+}
+
+#[test]
+fn nothing_turns_before_the_arm_gesture_and_nothing_after_the_landing() {
+    let scene = Scene::load("hover").unwrap();
+    let mut permits = Permits::default();
+    Flight::new(&scene, scene.seed).run(&mut permits);
+    // The gesture begins at 3 s and is held for one.
+    assert_eq!(permits.first_us, Some(4_000_000));
+    assert!(!permits.without_state && !permits.turning_without);
+}
+
+/// A scene from a built-in one, with some words exchanged.
+fn altered(name: &str, changes: &[(&str, &str)]) -> Scene {
+    let built_in = sim_host::scene::BUILT_IN.iter().find(|scene| scene.name == name).unwrap();
+    let text = changes.iter().fold(built_in.text.to_owned(), |text, (from, to)| {
+        assert!(text.contains(from), "{name} has no {from}");
+        text.replace(from, to)
+    });
+    Scene::parse("altered", &text).unwrap()
+}
+
+#[test]
+fn switching_an_effect_off_leaves_the_draws_of_the_others() {
+    // Without the gyroscope's noise the accelerometer of the vehicle at rest reads the same counts.
+    struct Counts(Vec<[i16; 3]>);
+    impl Observer for Counts {
+        fn step(&mut self, view: &StepView) {
+            self.0.extend(view.input.imu.map(|imu| imu.accel));
+        }
+    }
+    let counts = |scene: &Scene| {
+        let mut counts = Counts(vec![]);
+        Flight::new(scene, 1).run(&mut counts);
+        counts.0
+    };
+    let with = altered("static", &[("duration_s = 60.0", "duration_s = 1.0")]);
+    let without = altered(
+        "static",
+        &[
+            ("duration_s = 60.0", "duration_s = 1.0"),
+            ("[effects.gyro.white_noise]", ""),
+            ("n_deg_per_sqrt_h = [1.9368, 1.239, 1.239]", ""),
+        ],
+    );
+    assert_eq!(with.effects().len(), without.effects().len() + 1);
+    assert_eq!(counts(&with), counts(&without));
+}
+
+#[test]
+fn a_vehicle_too_heavy_to_fly_stays_on_the_ground() {
+    let scene = altered("hover", &[("vehicle = \"os4\"", "vehicle = { like = \"os4\", mass_kg = 1.4 }")]);
+    let outcome = Flight::new(&scene, 7).run(&mut ());
+    assert_eq!((outcome.crash, outcome.position_error_max_m), (None, 0.0));
+    assert!(outcome.tilt_max_deg < 1.0);
+}
