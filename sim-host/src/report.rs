@@ -10,7 +10,7 @@
 //! use sim_host::scene::Scene;
 //!
 //! let scene = Scene::load("hover")?;
-//! let mut recorder = Recorder::new(&scene);
+//! let mut recorder = Recorder::new();
 //! let outcome = Flight::new(&scene, scene.seed).run(&mut recorder);
 //! report::write("hover.html", &scene, scene.seed, &outcome, &recorder)?;
 //! # Ok::<(), sim_host::input_error::InputError>(())

@@ -4,7 +4,7 @@ use flight_core::arming::{DisarmCause, Event, Refusal};
 
 use super::recorder::{Channel, Recorder};
 use crate::chart::{Chart, Line, Mark, Panel, RightAxis, Stroke, colour};
-use crate::flight::{Outcome, STEP_US};
+use crate::flight::Outcome;
 use crate::scene::Scene;
 
 /// Width of a report's charts, px.
@@ -37,9 +37,8 @@ pub(super) fn all(scene: &Scene, outcome: &Outcome, recorder: &Recorder) -> Vec<
             list.push(place(recorder));
         }
     }
-    let end_s = outcome.control_steps as f64 * STEP_US as f64 * 1e-6;
     for figure in &mut list {
-        figure.chart.time_s = (0.0, end_s);
+        figure.chart.time_s = (0.0, outcome.flown_s());
         figure.chart.marks = marks(outcome, recorder);
     }
     list

@@ -8,9 +8,9 @@ use flight_core::estimator::{EstimatorParams, Weight};
 use super::figures;
 use super::recorder::Recorder;
 use crate::chart::{self, escaped};
-use crate::flight::{Outcome, STEP_US};
-use crate::pilot::{Base, FRAME_RATE_HZ, Plan};
-use crate::scene::{DEFAULT_RATE_HZ, MAG_RATE_HZ, PilotScript, Scene};
+use crate::flight::Outcome;
+use crate::pilot::{Base, FRAME_RATE_HZ, PilotScript, Plan};
+use crate::scene::{DEFAULT_RATE_HZ, MAG_RATE_HZ, Scene};
 use crate::vehicle::GRAVITY;
 
 const STYLE: &str = include_str!("style.css");
@@ -44,7 +44,6 @@ pub fn page(scene: &Scene, seed: u64, outcome: &Outcome, recorder: &Recorder) ->
 }
 
 fn header(html: &mut String, scene: &Scene, seed: u64, outcome: &Outcome) {
-    let flown_s = outcome.control_steps as f64 * STEP_US as f64 * 1e-6;
     let (class, verdict) = match outcome.crash {
         None => ("flown", "flown to the end".to_owned()),
         Some((why, at_s)) => ("crashed", format!("crashed at {at_s:.3} s: {}", why.text())),
@@ -57,7 +56,7 @@ fn header(html: &mut String, scene: &Scene, seed: u64, outcome: &Outcome) {
          digest <code>{:016x}</code></p>\n</header>\n",
         escaped(&scene.name),
         escaped(&scene.description),
-        seconds(flown_s),
+        seconds(outcome.flown_s()),
         seconds(scene.duration_s),
         grouped(outcome.control_steps),
         outcome.digest
@@ -113,7 +112,7 @@ fn simulated(html: &mut String, scene: &Scene) {
             v.max_thrust_n() / (v.mass_kg * GRAVITY)
         ),
     );
-    row("Pilot", &scene.pilot.as_ref().map_or("nobody flies".into(), pilot_text));
+    row("Pilot", &scene.pilot.as_ref().map_or("nobody flies".into(), |p| pilot_text(p, scene.duration_s)));
     row("Estimator", &estimator_text(scene));
     let receiver =
         if scene.pilot.is_some() { format!(", receiver {FRAME_RATE_HZ} Hz") } else { String::new() };
@@ -127,8 +126,8 @@ fn simulated(html: &mut String, scene: &Scene) {
     html.push_str("</table>\n");
 }
 
-fn pilot_text(pilot: &PilotScript) -> String {
-    let Plan { arm_at_s, take_off_at_s, height_m, land_at_s } = pilot.plan;
+fn pilot_text(pilot: &PilotScript, duration_s: f64) -> String {
+    let Plan { arm_at_s, take_off_at_s, height_m, land_before_end_s } = pilot.plan;
     let (start, end) = match pilot.base {
         Base::Hold => (format!("takes off at {take_off_at_s} s, holds {height_m} m"), "lands"),
         Base::Centred { throttle } => (
@@ -141,7 +140,8 @@ fn pilot_text(pilot: &PilotScript) -> String {
         1 => ", makes 1 scripted move".into(),
         n => format!(", makes {n} scripted moves"),
     };
-    let end = land_at_s.map_or(String::new(), |at| format!(", {end} at {at} s"));
+    let end = land_before_end_s
+        .map_or(String::new(), |before_end_s| format!(", {end} at {}", seconds(duration_s - before_end_s)));
     format!("arms at {arm_at_s} s, {start}{moves}{end}")
 }
 

@@ -6,8 +6,6 @@ use flight_core::geometry::{Quaternion, Vec3};
 use super::trace::Trace;
 use crate::attitude_error::AttitudeError;
 use crate::flight::{Observer, StepView};
-use crate::pilot::Pilot;
-use crate::scene::Scene;
 
 /// A number that is recorded.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -69,33 +67,21 @@ impl Channel {
 const MOST_EVENTS: usize = 24;
 
 /// An observer that records a flight for its report, in less than 5 MB however long the flight is.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct Recorder {
-    scene: Scene,
-    /// Another pilot of the same plan, asked only for the target; from the first step on.
-    pilot: Option<Pilot>,
-    home: Vec3<f64>,
     trace: Trace<CHANNELS>,
-    steps: u64,
+    /// Place at the first step; `None` before.
+    home: Option<Vec3<f64>>,
     /// The last true roll, pitch, yaw, degrees.
     attitude_deg: [f64; 3],
     events: Vec<(f64, Event)>,
-    uncounted: usize,
+    further_events: usize,
 }
 
 impl Recorder {
-    /// Before the first step of a flight of `scene`.
-    pub fn new(scene: &Scene) -> Self {
-        Self {
-            scene: scene.clone(),
-            pilot: None,
-            home: Vec3::ZERO,
-            trace: Trace::new(),
-            steps: 0,
-            attitude_deg: [0.0; 3],
-            events: Vec::new(),
-            uncounted: 0,
-        }
+    /// Before the first step of a flight.
+    pub fn new() -> Self {
+        Self::default()
     }
 
     /// Time, s, and value of everything that a plot of this channel can show: of each stretch of time the
@@ -111,7 +97,7 @@ impl Recorder {
 
     /// Events beyond those.
     pub fn further_events(&self) -> usize {
-        self.uncounted
+        self.further_events
     }
 }
 
@@ -119,18 +105,12 @@ impl Observer for Recorder {
     fn step(&mut self, view: &StepView) {
         let time_s = view.time_us as f64 * 1e-6;
         let truth = view.truth;
-        if self.steps == 0 {
-            self.home = truth.position;
-            let pilot = self.scene.pilot.as_ref();
-            self.pilot = pilot
-                .map(|p| Pilot::new(p.plan, p.base, p.script.clone(), self.scene.pilot_knowledge(), truth));
-        }
-        self.steps += 1;
+        let home = *self.home.get_or_insert(truth.position);
         if let Some(event) = view.output.event {
             if self.events.len() < MOST_EVENTS {
                 self.events.push((time_s, event));
             } else {
-                self.uncounted += 1;
+                self.further_events += 1;
             }
         }
 
@@ -141,8 +121,7 @@ impl Observer for Recorder {
         let estimated_deg = nearest_turn(roll_pitch_yaw_deg(view.estimate), true_deg);
         let error = AttitudeError::between(view.estimate, truth.attitude);
         let filtered = view.controller.rates_rad_s();
-        let target = self.pilot.as_ref().map(|pilot| pilot.target_m(time_s));
-        let place = truth.position - target.unwrap_or(self.home);
+        let place = truth.position - view.target_m.unwrap_or(home);
 
         let mut row = [f64::NAN; CHANNELS];
         let mut set = |channel: Channel, value: f64| row[channel.index()] = value;
@@ -162,10 +141,10 @@ impl Observer for Recorder {
         set(Channel::InclinationError, error.inclination_rad.to_degrees());
         set(Channel::TiltTruth, tilt_deg(truth.attitude));
         set(Channel::TiltEstimate, tilt_deg(view.estimate));
-        set(Channel::Height, self.home.z - truth.position.z);
-        if let Some(target) = target {
+        set(Channel::Height, home.z - truth.position.z);
+        if let Some(target) = view.target_m {
             // A pilot who lands aims below the ground, to settle on it.
-            set(Channel::HeightTarget, (self.home.z - target.z).max(0.0));
+            set(Channel::HeightTarget, (home.z - target.z).max(0.0));
         }
         set(Channel::North, place.x);
         set(Channel::East, place.y);
@@ -196,6 +175,7 @@ fn nearest_turn(angles: [f64; 3], near: [f64; 3]) -> [f64; 3] {
 mod tests {
     use super::*;
     use crate::flight::Flight;
+    use crate::scene::Scene;
 
     #[test]
     fn every_channel_has_a_place_of_its_own() {
@@ -237,16 +217,15 @@ mod tests {
 
     #[test]
     fn records_what_the_flight_is_judged_on() {
-        let mut scene = Scene::load("hover").unwrap();
-        scene.duration_s = 12.0;
-        let mut recorder = Recorder::new(&scene);
+        let scene = Scene::load("hover").unwrap();
+        let mut recorder = Recorder::new();
         let outcome = Flight::new(&scene, 3).run(&mut recorder);
         let highest =
             |channel| recorder.points(channel).iter().fold(0.0, |high: f64, point| high.max(point.1));
         assert!((highest(Channel::InclinationError) - outcome.tilt_error_max_deg).abs() < 1e-12);
         assert!((highest(Channel::TiltTruth) - outcome.tilt_max_deg).abs() < 1e-6);
         assert_eq!(highest(Channel::HeightTarget), 2.0);
-        assert!(matches!(recorder.events(), [(_, Event::Armed)]));
+        assert!(matches!(recorder.events(), [(_, Event::Armed), (_, Event::Disarmed(_))]));
         assert_eq!(recorder.further_events(), 0);
     }
 }

@@ -3,7 +3,7 @@ use crate::flight::{Crash, Flight};
 use crate::scene::BUILT_IN;
 
 fn fly(scene: &Scene) -> (Outcome, Recorder) {
-    let mut recorder = Recorder::new(scene);
+    let mut recorder = Recorder::new();
     let outcome = Flight::new(scene, scene.seed).run(&mut recorder);
     (outcome, recorder)
 }
@@ -13,14 +13,8 @@ fn page_of(scene: &Scene) -> String {
     page(scene, scene.seed, &outcome, &recorder)
 }
 
-fn scene(name: &str, duration_s: f64) -> Scene {
-    let mut scene = Scene::load(name).unwrap();
-    scene.duration_s = scene.duration_s.min(duration_s);
-    scene
-}
-
-fn hover(duration_s: f64) -> Scene {
-    scene("hover", duration_s)
+fn hover() -> Scene {
+    Scene::load("hover").unwrap()
 }
 
 /// Every element that is opened is closed, in order, and no bare `<` or `&` stands in the text.
@@ -48,7 +42,7 @@ fn assert_well_formed(html: &str) {
 #[test]
 fn every_scene_has_a_whole_page_that_asks_for_nothing() {
     for built_in in BUILT_IN {
-        let scene = scene(built_in.name, 15.0);
+        let scene = Scene::load(built_in.name).unwrap();
         let html = page_of(&scene);
         assert_well_formed(&html);
         for word in ["http:", "https:", "<script", "<img", "<link", "url(", "@import", "href", "NaN", "inf\""]
@@ -63,7 +57,7 @@ fn every_scene_has_a_whole_page_that_asks_for_nothing() {
 
 #[test]
 fn the_same_scene_and_seed_give_the_same_bytes() {
-    let mut scene = hover(7.0);
+    let mut scene = hover();
     let first = page_of(&scene);
     assert_eq!(first, page_of(&scene));
     scene.seed += 1;
@@ -73,7 +67,7 @@ fn the_same_scene_and_seed_give_the_same_bytes() {
 #[test]
 fn what_a_scene_file_says_is_text_and_nothing_else() {
     let hostile = "</title><script>alert(1)</script>\" onload='x' &lt;";
-    let mut scene = hover(0.1);
+    let mut scene = hover();
     scene.name = hostile.into();
     scene.description = hostile.into();
     let html = page_of(&scene);
@@ -89,7 +83,7 @@ fn what_a_scene_file_says_is_text_and_nothing_else() {
 #[test]
 fn figures_with_nothing_to_show_are_left_out() {
     let titles = |name: &str| -> Vec<&str> {
-        let scene = scene(name, 1.0);
+        let scene = Scene::load(name).unwrap();
         let (outcome, recorder) = fly(&scene);
         figures::all(&scene, &outcome, &recorder).iter().map(|figure| figure.title).collect()
     };
@@ -101,7 +95,7 @@ fn figures_with_nothing_to_show_are_left_out() {
 
 #[test]
 fn a_crash_is_said_and_marked() {
-    let scene = hover(6.0);
+    let scene = hover();
     let (mut outcome, recorder) = fly(&scene);
     assert!(page(&scene, 7, &outcome, &recorder).contains("flown to the end"));
     outcome.crash = Some((Crash::TippedOver, 5.5));
@@ -112,7 +106,7 @@ fn a_crash_is_said_and_marked() {
 
 #[test]
 fn an_outcome_that_is_not_finite_is_said_in_words() {
-    let scene = hover(0.1);
+    let scene = hover();
     let (outcome, recorder) = fly(&scene);
     let outcome = Outcome { attitude_rmse_deg: f64::NAN, position_error_max_m: f64::INFINITY, ..outcome };
     let html = page(&scene, 7, &outcome, &recorder);
@@ -124,7 +118,7 @@ fn an_outcome_that_is_not_finite_is_said_in_words() {
 fn the_file_is_the_page() {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("report.html");
-    let scene = hover(0.5);
+    let scene = hover();
     let (outcome, recorder) = fly(&scene);
     write(&path, &scene, 9, &outcome, &recorder).unwrap();
     assert_eq!(std::fs::read_to_string(&path).unwrap(), page(&scene, 9, &outcome, &recorder));

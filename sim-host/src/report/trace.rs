@@ -31,11 +31,13 @@ pub(super) struct Trace<const N: usize> {
     steps_in_last: u32,
 }
 
-impl<const N: usize> Trace<N> {
-    pub fn new() -> Self {
+impl<const N: usize> Default for Trace<N> {
+    fn default() -> Self {
         Self { buckets: Vec::new(), steps_per_bucket: FIRST_STEPS, steps_in_last: FIRST_STEPS }
     }
+}
 
+impl<const N: usize> Trace<N> {
     /// Takes the values at time `time_s`, s.
     pub fn push(&mut self, time_s: f64, values: [f64; N]) {
         let now = values.map(|value| {
@@ -103,7 +105,7 @@ mod tests {
 
     #[test]
     fn memory_is_bounded_and_extremes_stay() {
-        let mut trace = Trace::new();
+        let mut trace = Trace::default();
         for (t, value) in long() {
             trace.push(t, [value, 1.0]);
             assert!(trace.buckets.len() <= MOST_BUCKETS);
@@ -120,7 +122,7 @@ mod tests {
 
     #[test]
     fn a_short_record_is_taken_a_hundred_times_a_second() {
-        let mut trace = Trace::new();
+        let mut trace = Trace::default();
         for k in 0..2000_u32 {
             trace.push(f64::from(k) / 1e3, [f64::from(k)]);
         }
@@ -130,7 +132,7 @@ mod tests {
 
     #[test]
     fn what_is_not_finite_leaves_a_gap_and_spoils_nothing() {
-        let mut trace = Trace::new();
+        let mut trace = Trace::default();
         for k in 0..30 {
             let value = if (8..22).contains(&k) { f64::NAN } else { 1.0 };
             trace.push(f64::from(k), [value]);
