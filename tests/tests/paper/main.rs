@@ -6,6 +6,7 @@
 
 mod allan;
 mod complementary;
+mod in_flight;
 mod magnetometer;
 mod prefilter;
 mod spread;
