@@ -9,5 +9,6 @@ mod complementary;
 mod in_flight;
 mod magnetometer;
 mod prefilter;
+mod rotors;
 mod spread;
 mod strapdown;
