@@ -6,9 +6,9 @@
 //!
 //! | error | of o | at α = 0.97 |
 //! |---|---|---|
-//! | measured angle b, deviation s | s √((1 − α)/(1 + α)) | 0.12340 s |
-//! | rate ω, deviation s a sample | s Δt α/√(1 − α²) | 3.990 s Δt |
-//! | rate ω, constant b | b Δt α/(1 − α) | 32.33 b Δt |
+//! | white noise σ of b | σ √((1 − α)/(1 + α)) | 0.12340 σ |
+//! | white noise σ of ω | σ Δt α/√(1 − α²) | 3.990 σ Δt |
+//! | constant β of ω | β Δt α/(1 − α) | 32.33 β Δt |
 //!
 //! Its autocorrelation is α^|k|. Over it Σρ² = (1 + α²)/(1 − α²), which is how many samples count as one in
 //! the error of a deviation (33 at 0.97), and Σρ = (1 + α)/(1 − α) in the error of a mean (66).
@@ -78,13 +78,13 @@ fn pointing_north_from(heading: f64) -> Vec3<f32> {
 #[test]
 fn white_angle_noise_comes_out_times_0_1234() {
     assert!((libm::sqrt(0.03 / 1.97) - 0.12340).abs() < 1e-5);
-    let s = 0.01;
+    let sigma = 0.01;
     for (n, case) in CASES.iter().enumerate() {
         let mut streams = NormalStreams::new(1, "paper.angle_noise");
         let mut estimator = case.estimator();
         let mut spreads = [Spread::default(); 3];
         for k in 0..UPDATES {
-            let noise = streams.draw() * s;
+            let noise = streams.draw() * sigma;
             let field = pointing_north_from(noise.z);
             estimator.update(Vec3::ZERO, at_rest(noise.x, noise.y), Some(field), 1.0 / case.rate_hz);
             if k >= case.settling() {
@@ -95,8 +95,8 @@ fn white_angle_noise_comes_out_times_0_1234() {
         }
         let gain = libm::sqrt((1.0 - case.alpha) / (1.0 + case.alpha));
         for spread in spreads {
-            println!("case {n}: {:.5}", spread.deviation() / s);
-            spread.assert_deviation(gain * s, case.samples_per_independent_square());
+            println!("case {n}: {:.5}", spread.deviation() / sigma);
+            spread.assert_deviation(gain * sigma, case.samples_per_independent_square());
         }
     }
 }
@@ -105,14 +105,14 @@ fn white_angle_noise_comes_out_times_0_1234() {
 fn white_rate_noise_comes_out_times_3_99_steps_and_a_bias_times_32_33() {
     assert!((0.97 / libm::sqrt(1.0 - 0.97 * 0.97) - 3.990).abs() < 1e-4);
     assert!((0.97_f64 / 0.03 - 32.33).abs() < 0.01);
-    let (s, bias) = (0.01, 0.001);
+    let (sigma, bias) = (0.01, 0.001);
     for (n, case) in CASES.iter().enumerate() {
         let mut streams = NormalStreams::new(2, "paper.rate_noise");
         let mut estimator = case.estimator();
         let mut spreads = [Spread::default(); 3];
         let (level, north) = (at_rest(0.0, 0.0), pointing_north_from(0.0));
         for k in 0..UPDATES {
-            let rate = <[f64; 3]>::from(streams.draw()).map(|w| (bias + s * w) as f32);
+            let rate = <[f64; 3]>::from(streams.draw()).map(|w| (bias + sigma * w) as f32);
             estimator.update(rate.into(), level, Some(north), 1.0 / case.rate_hz);
             if k >= case.settling() {
                 for (spread, angle) in spreads.iter_mut().zip(angles(&estimator)) {
@@ -122,10 +122,10 @@ fn white_rate_noise_comes_out_times_3_99_steps_and_a_bias_times_32_33() {
         }
         let dt_s = 1.0 / f64::from(case.rate_hz);
         let a = case.alpha;
-        let deviation = s * dt_s * a / libm::sqrt(1.0 - a * a);
+        let deviation = sigma * dt_s * a / libm::sqrt(1.0 - a * a);
         let offset = bias * dt_s * a / (1.0 - a);
         for spread in spreads {
-            println!("case {n}: {:.4} {:.3}", spread.deviation() / s / dt_s, spread.mean() / bias / dt_s);
+            println!("case {n}: {:.4} {:.3}", spread.deviation() / sigma / dt_s, spread.mean() / bias / dt_s);
             spread.assert_deviation(deviation, case.samples_per_independent_square());
             let error = deviation * libm::sqrt((1.0 + a) / (1.0 - a) / spread.count());
             // The axes' offsets mix through the Euler rates by their own size, at most 3.3e-4 rad.
