@@ -1,0 +1,83 @@
+//! Forces, torques, lags and failures of the vehicle, one file each.
+//!
+//! | kind | acts on | called |
+//! |---|---|---|
+//! | [`CommandEffect`] | the speeds that the ESCs ask of the rotors | once a step |
+//! | [`WindEffect`] | the velocity of the air | once a step |
+//! | [`ThrustEffect`] | the thrust of each rotor | at every stage of the integration |
+//! | [`BodyEffect`] | force and torque on the body | at every stage of the integration |
+
+mod linear_drag;
+mod motor_lag;
+mod rotor_gyroscopic;
+
+use flight_core::geometry::{Mat3, Vec3};
+
+pub use linear_drag::LinearDrag;
+pub use motor_lag::{Lag, MotorLag, Point};
+pub use rotor_gyroscopic::RotorGyroscopic;
+
+use super::Moment;
+use crate::vehicle::State;
+
+/// A point in time inside a step, while the motion is integrated.
+#[derive(Clone, Copy, Debug)]
+pub struct Stage<'a> {
+    /// The state here.
+    pub state: &'a State,
+    /// Its attitude as a matrix, body to world.
+    pub matrix: &'a Mat3<f64>,
+    /// Rotor speeds, rad/s.
+    pub rotors: [f64; 4],
+    /// Their rates of change, rad/s².
+    pub rotor_accelerations: [f64; 4],
+    /// Velocity of the vehicle through the air, m/s, north, east, down.
+    pub airspeed: Vec3<f64>,
+}
+
+/// Force and torque on the body.
+#[derive(Clone, Copy, Debug)]
+pub struct Load {
+    /// N, north, east, down.
+    pub force: Vec3<f64>,
+    /// N·m, body axes, about the centre of gravity.
+    pub torque: Vec3<f64>,
+}
+
+/// Changes what the ESCs ask of the rotors.
+pub trait CommandEffect: Send {
+    /// Changes the wanted speeds, rad/s.
+    fn apply(&mut self, wanted: &mut [f64; 4], at: &Moment);
+}
+
+/// Moves the air.
+pub trait WindEffect: Send {
+    /// Velocity of the air for the coming step, m/s, north, east, down; effects add up.
+    fn velocity(&mut self, at: &Moment) -> Vec3<f64>;
+}
+
+/// Changes the thrust of the rotors.
+pub trait ThrustEffect: Send {
+    /// Changes the thrusts, N.
+    fn apply(&self, thrusts: &mut [f64; 4], at: &Stage);
+}
+
+/// Adds force and torque to the body.
+pub trait BodyEffect: Send {
+    /// Adds to the load. `thrusts` are those of the rotors, N.
+    fn apply(&self, load: &mut Load, thrusts: &[f64; 4], at: &Stage);
+}
+
+/// A vehicle effect of any kind, as built.
+pub enum VehicleEffect {
+    /// On the command.
+    Command(Box<dyn CommandEffect>),
+    /// Between command and rotor speed.
+    Lag(Lag),
+    /// On the air.
+    Wind(Box<dyn WindEffect>),
+    /// On the rotors' thrust.
+    Thrust(Box<dyn ThrustEffect>),
+    /// On the body.
+    Body(Box<dyn BodyEffect>),
+}
