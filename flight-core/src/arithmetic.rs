@@ -46,6 +46,20 @@ pub fn sqrt(x: f32) -> f32 {
     }
 }
 
+/// The larger of two numbers; `b` if `a` is NaN.
+///
+/// `f32::max` must also look at NaNs in `b`, and calls a function for it on the Cortex-M4F.
+#[inline(always)]
+pub fn max(a: f32, b: f32) -> f32 {
+    if a > b { a } else { b }
+}
+
+/// The smaller of two numbers; `b` if `a` is NaN.
+#[inline(always)]
+pub fn min(a: f32, b: f32) -> f32 {
+    if a < b { a } else { b }
+}
+
 /// Sine and cosine of `x` (rad), |x| ≤ 8,192.
 ///
 /// Reduction to ±π/4 by π/2 in three parts, the first two short enough that their products with the

@@ -9,14 +9,16 @@
 //! | `Disarmed` | `Armed` | the arm gesture is held for 1 s and nothing refuses ([`Refusal`]) |
 //! | `Armed` | `Disarmed` | the disarm gesture is held for 0.5 s, or a [`DisarmCause`] occurs |
 
+use crate::rc::Gesture;
+
 /// How long the arm gesture must be held, s.
 pub const ARM_HOLD_S: f32 = 1.0;
 /// How long the disarm gesture must be held, s.
 pub const DISARM_HOLD_S: f32 = 0.5;
 /// Age of the last receiver frame at which the link counts as lost, µs.
-pub const RC_LOST_US: u64 = 1_000_000;
+pub const RC_LOST_US: u32 = 1_000_000;
 /// Age of the last inertial sample at which the sensor counts as lost, µs.
-pub const IMU_LOST_US: u64 = 100_000;
+pub const IMU_LOST_US: u32 = 100_000;
 /// cos 25°: further from level than this, arming is refused.
 const ARM_COS_TILT: f32 = 0.906_308;
 
@@ -79,10 +81,8 @@ pub enum Event {
 /// What the decision depends on.
 #[derive(Clone, Copy, Debug)]
 pub struct Conditions {
-    /// The arm gesture is being made.
-    pub ask_to_arm: bool,
-    /// The disarm gesture is being made.
-    pub ask_to_disarm: bool,
+    /// What the sticks ask for.
+    pub gesture: Gesture,
     /// The receiver's last frame is older than [`RC_LOST_US`], or there has been none.
     pub rc_lost: bool,
     /// The last inertial sample is older than [`IMU_LOST_US`], or there has been none.
@@ -97,12 +97,11 @@ pub struct Conditions {
     pub bench_lock: bool,
 }
 
-/// The arm state and the gestures' clocks.
+/// The arm state and the clock of the gesture that would change it.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Arming {
     state: ArmState,
-    arm_held_s: f32,
-    disarm_held_s: f32,
+    held_s: f32,
     refused: bool,
 }
 
@@ -119,8 +118,12 @@ impl Arming {
 
     /// Decides for a step of `dt_s`.
     pub fn update(&mut self, now: &Conditions, dt_s: f32) -> Option<Event> {
-        self.arm_held_s = if now.ask_to_arm && !now.rc_lost { self.arm_held_s + dt_s } else { 0.0 };
-        self.disarm_held_s = if now.ask_to_disarm && !now.rc_lost { self.disarm_held_s + dt_s } else { 0.0 };
+        let asked = match self.state {
+            ArmState::Disarmed => now.gesture == Gesture::Arm,
+            ArmState::Armed => now.gesture == Gesture::Disarm,
+        };
+        // What a lost link last said is not a gesture.
+        self.held_s = if asked && !now.rc_lost { self.held_s + dt_s } else { 0.0 };
         match self.state {
             ArmState::Disarmed => self.try_to_arm(now),
             ArmState::Armed => self.try_to_disarm(now),
@@ -128,7 +131,7 @@ impl Arming {
     }
 
     fn try_to_arm(&mut self, now: &Conditions) -> Option<Event> {
-        if self.arm_held_s < ARM_HOLD_S {
+        if self.held_s < ARM_HOLD_S {
             self.refused = false;
             return None;
         }
@@ -147,7 +150,7 @@ impl Arming {
         };
         match refusal {
             None => {
-                self.state = ArmState::Armed;
+                *self = Self { state: ArmState::Armed, ..Self::default() };
                 Some(Event::Armed)
             }
             // Said once a gesture; the sticks must be let go before the next try.
@@ -166,7 +169,7 @@ impl Arming {
             DisarmCause::ImuLost
         } else if now.rc_lost {
             DisarmCause::RcLost
-        } else if self.disarm_held_s >= DISARM_HOLD_S {
+        } else if self.held_s >= DISARM_HOLD_S {
             DisarmCause::Sticks
         } else {
             return None;
@@ -181,8 +184,7 @@ mod tests {
     use super::*;
 
     const READY: Conditions = Conditions {
-        ask_to_arm: true,
-        ask_to_disarm: false,
+        gesture: Gesture::Arm,
         rc_lost: false,
         imu_lost: false,
         still: true,
@@ -190,7 +192,7 @@ mod tests {
         battery_low: false,
         bench_lock: false,
     };
-    const FLYING: Conditions = Conditions { ask_to_arm: false, still: false, cos_tilt: 0.5, ..READY };
+    const FLYING: Conditions = Conditions { gesture: Gesture::None, still: false, cos_tilt: 0.5, ..READY };
 
     fn run(arming: &mut Arming, now: Conditions, seconds: f32) -> std::vec::Vec<Event> {
         (0..(seconds * 1000.0) as u32).filter_map(|_| arming.update(&now, 0.001)).collect()
@@ -242,7 +244,7 @@ mod tests {
             (Conditions { bench_lock: true, ..FLYING }, DisarmCause::BenchLock),
             (Conditions { imu_lost: true, ..FLYING }, DisarmCause::ImuLost),
             (Conditions { rc_lost: true, ..FLYING }, DisarmCause::RcLost),
-            (Conditions { ask_to_disarm: true, ..FLYING }, DisarmCause::Sticks),
+            (Conditions { gesture: Gesture::Disarm, ..FLYING }, DisarmCause::Sticks),
         ];
         for (now, cause) in cases {
             let mut arming = armed();

@@ -9,7 +9,7 @@
 //! singularity and does not mix heading errors into tilt. The inner loop's gains are in angular acceleration
 //! per unit of rate error, and the inertia turns them into torque: the same gains fit a larger vehicle.
 
-use crate::arithmetic::{sin_cos, sqrt, wrap_pi};
+use crate::arithmetic::{max, min, sin_cos, sqrt, wrap_pi};
 use crate::config::{ConfigError, check};
 use crate::geometry::{Vec3, vec3};
 use crate::mixer::Saturation;
@@ -217,8 +217,10 @@ impl Controller {
                 self.heading_target = heading;
                 rate
             }
-            None => (p.heading_p * wrap_pi(self.heading_target - heading))
-                .clamp(-p.max_yaw_rate_rad_s, p.max_yaw_rate_rad_s),
+            None => min(
+                max(p.heading_p * wrap_pi(self.heading_target - heading), -p.max_yaw_rate_rad_s),
+                p.max_yaw_rate_rad_s,
+            ),
         };
         // A turn about the vertical, in body axes.
         tilt_rate + down * yaw_rate
@@ -226,7 +228,7 @@ impl Controller {
 }
 
 fn limit(v: Vec3<f32>, bound: Vec3<f32>) -> Vec3<f32> {
-    vec3(v.x.max(-bound.x).min(bound.x), v.y.max(-bound.y).min(bound.y), v.z.max(-bound.z).min(bound.z))
+    vec3(min(max(v.x, -bound.x), bound.x), min(max(v.y, -bound.y), bound.y), min(max(v.z, -bound.z), bound.z))
 }
 
 #[cfg(test)]

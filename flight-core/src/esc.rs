@@ -1,5 +1,6 @@
 //! Rotor speed to ESC pulse.
 
+use crate::arithmetic::{max, min};
 use crate::config::{ConfigError, check};
 
 /// The ESC's pulse map: linear in rotor speed from `stop_us` (no rotation) to `full_us` (`max_rad_s`).
@@ -55,7 +56,7 @@ impl Esc {
     #[inline(always)]
     pub fn pulse_us(&self, speed_rad_s: f32) -> f32 {
         // `min` and `max` here also keep a NaN from reaching a motor: they return the limit.
-        (self.stop_us + self.us_per_rad_s * speed_rad_s).max(self.idle_us).min(self.full_us)
+        min(max(self.stop_us + self.us_per_rad_s * speed_rad_s, self.idle_us), self.full_us)
     }
 }
 

@@ -9,7 +9,7 @@ use crate::estimator::{Estimator, EstimatorParams, GyroZero};
 use crate::geometry::{Quaternion, Vec3};
 use crate::mixer::{Mixer, Saturation, Wrench};
 use crate::prefilter::{Biquad, Prefilter};
-use crate::rc::Sticks;
+use crate::rc::{Gesture, Sticks};
 use crate::sample::{Input, Output};
 
 /// The flight controller. It holds no clock: all time comes in with [`Input::time_us`].
@@ -32,13 +32,14 @@ pub struct FlightController {
 
     /// Prefiltered body rates less the bias, rad/s.
     rates: Vec3<f32>,
-    sticks: Sticks,
+    gesture: Gesture,
     battery_low: bool,
     saturation: Saturation,
     pulses_us: [f32; 4],
     time_us: Option<u64>,
-    last_imu_us: Option<u64>,
-    last_rc_us: Option<u64>,
+    /// Time since the last inertial sample and receiver frame; the largest number before the first.
+    imu_age_us: u32,
+    rc_age_us: u32,
 }
 
 impl FlightController {
@@ -73,13 +74,13 @@ impl FlightController {
             arming: Arming::default(),
             min_arm_voltage_v: p.min_arm_voltage_v,
             rates: Vec3::ZERO,
-            sticks: Sticks::default(),
+            gesture: Gesture::None,
             battery_low: false,
             saturation: Saturation::default(),
             pulses_us: [esc.stop_us(); 4],
             time_us: None,
-            last_imu_us: None,
-            last_rc_us: None,
+            imu_age_us: u32::MAX,
+            rc_age_us: u32::MAX,
         })
     }
 
@@ -89,18 +90,22 @@ impl FlightController {
     /// here, it ages. A step whose time is not after the last one's repeats the last output.
     #[inline]
     pub fn step(&mut self, input: &Input) -> Output {
-        let dt_s = match self.time_us {
+        let dt_us = match self.time_us {
             Some(last) if input.time_us <= last => return self.output(None),
-            // Up to a second the microseconds are exact in f32; beyond, the sensors are lost anyway.
-            Some(last) => (input.time_us - last).min(1_000_000) as u32 as f32 * 1.0e-6,
-            None => 0.0,
+            // After more than a second everything is lost anyway.
+            Some(last) => (input.time_us - last).min(1_000_000) as u32,
+            None => 0,
         };
+        let dt_s = dt_us as f32 * 1.0e-6;
         self.time_us = Some(input.time_us);
+        self.imu_age_us = self.imu_age_us.saturating_add(dt_us);
+        self.rc_age_us = self.rc_age_us.saturating_add(dt_us);
 
         if let Some(frame) = &input.rc {
-            self.last_rc_us = Some(input.time_us);
-            self.sticks = Sticks::from_frame(frame);
-            self.controller.set_sticks(&self.sticks);
+            self.rc_age_us = 0;
+            let sticks = Sticks::from_frame(frame);
+            self.gesture = sticks.gesture();
+            self.controller.set_sticks(&sticks);
         }
         if let Some(battery) = input.battery {
             self.battery_low = battery.voltage_v < self.min_arm_voltage_v;
@@ -121,17 +126,17 @@ impl FlightController {
     /// Calibration, prefilter, gyro zero and estimator, for the sensors that brought something.
     #[inline(always)]
     fn estimate(&mut self, input: &Input) {
+        let gap = self.imu_age_us > IMU_LOST_US;
+        if gap && input.imu.is_some() {
+            // What was known of the attitude is too old, or there has been nothing yet: begin again.
+            self.restart_estimation();
+        }
         let mag = input.mag.map(|sample| self.mag_prefilter.step(self.mag_model.apply(sample.counts)));
         // A field that comes without an inertial sample has gone through its prefilter and is not missed.
         let Some(sample) = &input.imu else { return };
         // The estimator's dt is the time since its last sample, not since the last step.
-        let dt_us = self.last_imu_us.map_or(0, |last| input.time_us - last);
-        if dt_us > IMU_LOST_US {
-            // What was known of the attitude is too old: begin again.
-            self.restart_estimation();
-        }
-        let dt_s = if dt_us > IMU_LOST_US { 0.0 } else { dt_us as u32 as f32 * 1.0e-6 };
-        self.last_imu_us = Some(input.time_us);
+        let dt_s = if gap { 0.0 } else { self.imu_age_us as f32 * 1.0e-6 };
+        self.imu_age_us = 0;
 
         let gyro = self.gyro_prefilter.step(self.gyro_model.apply(sample.gyro));
         let accel = self.accel_prefilter.step(self.accel_model.apply(sample.accel));
@@ -148,6 +153,7 @@ impl FlightController {
         self.gyro_prefilter.restart();
         self.accel_prefilter.restart();
         self.mag_prefilter.restart();
+        self.gyro_zero.interrupt();
         if let Ok(estimator) = Estimator::new(&self.estimator_params) {
             self.estimator = estimator;
         }
@@ -155,12 +161,10 @@ impl FlightController {
 
     #[inline(always)]
     fn conditions(&self, input: &Input) -> Conditions {
-        let older = |last: Option<u64>, limit: u64| last.is_none_or(|last| input.time_us - last > limit);
         Conditions {
-            ask_to_arm: self.sticks.ask_to_arm(),
-            ask_to_disarm: self.sticks.ask_to_disarm(),
-            rc_lost: older(self.last_rc_us, RC_LOST_US),
-            imu_lost: older(self.last_imu_us, IMU_LOST_US),
+            gesture: self.gesture,
+            rc_lost: self.rc_age_us > RC_LOST_US,
+            imu_lost: self.imu_age_us > IMU_LOST_US,
             still: self.gyro_zero.still() && self.gyro_zero.zeroed(),
             cos_tilt: self.estimator.down().z,
             battery_low: self.battery_low,

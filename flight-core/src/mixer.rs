@@ -15,7 +15,7 @@
 //! scale yaw, then scale roll and pitch together. No rotor is clipped by itself, which would turn a yaw
 //! demand into roll.
 
-use crate::arithmetic::sqrt;
+use crate::arithmetic::{max, min, sqrt};
 use crate::config::{ConfigError, check};
 use crate::geometry::{Vec3, vec3};
 
@@ -120,7 +120,7 @@ impl Mixer {
         let mut a = pitch + roll;
         let mut b = pitch - roll;
 
-        let widest = 2.0 * a.abs().max(b.abs());
+        let widest = 2.0 * max(a.abs(), b.abs());
         let roll_pitch = widest > span;
         if roll_pitch {
             let share = span / widest;
@@ -129,14 +129,14 @@ impl Mixer {
         }
         let wanted = demand.torque_n_m.z * self.per_yaw_torque;
         // Rounding may leave −ε of room.
-        let room = (0.5 * (span - a.abs() - b.abs())).max(0.0);
+        let room = max(0.5 * (span - a.abs() - b.abs()), 0.0);
         let yaw = wanted.abs() > room;
         let y = if yaw { room.copysign(wanted) } else { wanted };
 
-        let highest = (a.abs() + y).max(b.abs() - y);
-        let lowest = (y - a.abs()).min(-b.abs() - y);
+        let highest = max(a.abs() + y, b.abs() - y);
+        let lowest = min(y - a.abs(), -b.abs() - y);
         let collective =
-            (demand.thrust_n * self.per_thrust).min(self.max_square - highest).max(self.min_square - lowest);
+            max(min(demand.thrust_n * self.per_thrust, self.max_square - highest), self.min_square - lowest);
 
         let (up, down) = (collective + y, collective - y);
         ([up + a, down + b, up - a, down - b], Saturation { roll_pitch, yaw })
@@ -160,7 +160,7 @@ impl Mixer {
     /// at worst.
     #[inline]
     pub fn speeds(squares: [f32; 4]) -> [f32; 4] {
-        squares.map(|s| sqrt(s.max(0.0)))
+        squares.map(|s| sqrt(max(s, 0.0)))
     }
 }
 

@@ -7,6 +7,7 @@
 //! | pitch | back: nose up | level | forward: nose down |
 //! | yaw | left: anticlockwise from above | hold heading | right: clockwise |
 
+use crate::arithmetic::max;
 use crate::sample::RcFrame;
 
 /// Tick of a stick at its low end (SBUS and CRSF: 988 µs).
@@ -34,31 +35,46 @@ impl Sticks {
     pub fn from_frame(frame: &RcFrame) -> Self {
         const SPAN: f32 = (HIGH_TICKS - LOW_TICKS) as f32;
         const HALF_SPAN: f32 = (HIGH_TICKS - CENTRE_TICKS) as f32;
-        let [throttle, roll, pitch, yaw] = frame.channels.map(|t| t.clamp(LOW_TICKS, HIGH_TICKS));
+        let [throttle, roll, pitch, yaw] = frame.channels.map(|t| i32::from(t.clamp(LOW_TICKS, HIGH_TICKS)));
         // 172 is 820 ticks below the centre, 1811 is 819 above: full low stick reads −1, not −1.001.
-        let centred = |ticks: u16| ((f32::from(ticks) - f32::from(CENTRE_TICKS)) / HALF_SPAN).max(-1.0);
+        let centred = |ticks: i32| max((ticks - i32::from(CENTRE_TICKS)) as f32 / HALF_SPAN, -1.0);
         Self {
-            throttle: (f32::from(throttle) - f32::from(LOW_TICKS)) / SPAN,
+            throttle: (throttle - i32::from(LOW_TICKS)) as f32 / SPAN,
             roll: centred(roll),
             pitch: centred(pitch),
             yaw: centred(yaw),
         }
     }
 
-    /// Whether the throttle is at its low end.
-    pub fn throttle_low(&self) -> bool {
-        self.throttle < 0.05
+    /// What the sticks ask for by where they are held.
+    pub fn gesture(&self) -> Gesture {
+        if self.throttle >= LOW_THROTTLE {
+            Gesture::None
+        } else if self.yaw > FULL_YAW {
+            Gesture::Arm
+        } else if self.yaw < -FULL_YAW {
+            Gesture::Disarm
+        } else {
+            Gesture::None
+        }
     }
+}
 
-    /// Whether the sticks ask to arm: throttle low, yaw full right.
-    pub fn ask_to_arm(&self) -> bool {
-        self.throttle_low() && self.yaw > 0.9
-    }
+/// Below this the throttle counts as low.
+const LOW_THROTTLE: f32 = 0.05;
+/// Beyond this the yaw stick counts as fully deflected.
+const FULL_YAW: f32 = 0.9;
 
-    /// Whether the sticks ask to disarm: throttle low, yaw full left.
-    pub fn ask_to_disarm(&self) -> bool {
-        self.throttle_low() && self.yaw < -0.9
-    }
+/// A wish that the pilot expresses with both sticks.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Gesture {
+    /// Nothing but flying.
+    #[default]
+    None,
+    /// Throttle low, yaw full right.
+    Arm,
+    /// Throttle low, yaw full left.
+    Disarm,
 }
 
 #[cfg(test)]
@@ -69,12 +85,12 @@ mod tests {
     fn ends_and_centre() {
         let low = Sticks::from_frame(&RcFrame { channels: [LOW_TICKS; 4] });
         assert_eq!(low, Sticks { throttle: 0.0, roll: -1.0, pitch: -1.0, yaw: -1.0 });
-        assert!(low.ask_to_disarm() && !low.ask_to_arm());
+        assert_eq!(low.gesture(), Gesture::Disarm);
         let high = Sticks::from_frame(&RcFrame { channels: [2047; 4] });
         assert_eq!(high, Sticks { throttle: 1.0, roll: 1.0, pitch: 1.0, yaw: 1.0 });
-        assert!(!high.ask_to_arm() && !high.ask_to_disarm());
+        assert_eq!(high.gesture(), Gesture::None);
         let arm =
             Sticks::from_frame(&RcFrame { channels: [LOW_TICKS, CENTRE_TICKS, CENTRE_TICKS, HIGH_TICKS] });
-        assert!(arm.ask_to_arm() && arm.roll == 0.0 && arm.pitch == 0.0);
+        assert_eq!((arm.gesture(), arm.roll, arm.pitch), (Gesture::Arm, 0.0, 0.0));
     }
 }

@@ -18,9 +18,7 @@ fn main() {
 fn fly(bencher: Bencher, name: &str) {
     let scene = Scene::load(name).expect("a built-in scene");
     let steps = Flight::new(&scene, scene.seed).run(&mut ()).control_steps;
-    bencher
-        .counter(ItemsCount::new(steps))
-        .bench(|| Flight::new(black_box(&scene), scene.seed).run(&mut ()));
+    bencher.counter(ItemsCount::new(steps)).bench(|| Flight::new(black_box(&scene), scene.seed).run(&mut ()));
 }
 
 /// Nine axes of sensor samples on the bench.

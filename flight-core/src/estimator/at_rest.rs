@@ -62,6 +62,11 @@ impl GyroZero {
         }
     }
 
+    /// Begins a new stillness: after a gap, nobody knows what happened in it.
+    pub fn interrupt(&mut self) {
+        self.still_s = 0.0;
+    }
+
     /// Whether the vehicle has been still for as long as a zero takes, up to the last sample.
     pub fn still(&self) -> bool {
         self.still_s >= MIN_STILL_S

@@ -1,0 +1,301 @@
+//! Counts the instructions of the chain's stages on QEMU's Cortex-M4F.
+//!
+//! With `-icount shift=2` an instruction takes 4 ns of the emulator's virtual time, and its timer TIM2 counts
+//! nanoseconds, so a difference of two readings is four times the instructions between them. These are
+//! instructions, not cycles: loads from flash, taken branches, divisions and `vsqrt` cost more than one on a
+//! chip. A stage's count has its call in it, as the compiler placed it; a thousand `nop`s calibrate the rest
+//! away.
+//!
+//! A line of output is `icount,<stage>,<inputs>,<instructions in all>,<most for one input>`; one more line for
+//! each preset of the estimator, `attitudes,<preset>,<digest>`, shows that it computes what the host does.
+#![no_std]
+#![no_main]
+
+use core::arch::asm;
+use core::hint::black_box;
+
+use cortex_m_rt::{ExceptionFrame, exception};
+use cortex_m_semihosting::debug::{self, EXIT_FAILURE, EXIT_SUCCESS};
+use cortex_m_semihosting::hprintln;
+// Nothing is logged, but the linker script of every image of this package asks for a logger.
+use defmt_rtt as _;
+use fixed_input::{FLIGHT, PERIOD_US, STEPS};
+use flight_core::arithmetic::{atan2, sin_cos, sqrt, wrap_pi};
+use flight_core::calibration::{SensorCalibration, SensorFields, SensorModel};
+use flight_core::control::Controller;
+use flight_core::esc::Esc;
+use flight_core::estimator::{Estimator, EstimatorParams};
+use flight_core::geometry::Vec3;
+use flight_core::mixer::{Mixer, Saturation, Wrench};
+use flight_core::prefilter::{Biquad, Prefilter};
+use flight_core::rc::Sticks;
+use flight_core::{ConfigError, FlightController, Input, Output, Params};
+use panic_semihosting as _;
+use stm32f4xx_hal::pac::{Peripherals, TIM2};
+
+/// Inputs of a stage: the table's first in flight.
+const INPUTS: core::ops::Range<u32> = FLIGHT..FLIGHT + 1_200;
+/// Sample period, s.
+const DT_S: f32 = PERIOD_US as f32 * 1.0e-6;
+
+#[cortex_m_rt::entry]
+fn main() -> ! {
+    let mut peripherals = Peripherals::take().expect("taken once");
+    start(&mut peripherals.TIM2);
+    let mut gauge = Gauge { timer: peripherals.TIM2, overhead: 0 };
+    gauge.calibrate();
+    kernels(&mut gauge);
+    if let Err(error) = stages(&mut gauge).and_then(|()| steps(&mut gauge)).and_then(|()| attitudes()) {
+        panic!("{error}");
+    }
+    loop {
+        debug::exit(EXIT_SUCCESS);
+    }
+}
+
+#[exception]
+unsafe fn HardFault(_frame: &ExceptionFrame) -> ! {
+    loop {
+        debug::exit(EXIT_FAILURE);
+    }
+}
+
+/// Lets TIM2 count nanoseconds. Its period stays 0, with which the emulator's timer never ends one.
+fn start(timer: &mut TIM2) {
+    timer.psc().write(|w| w.psc().set(0));
+    timer.cr1().write(|w| w.cen().set_bit());
+}
+
+/// The counter of instructions.
+struct Gauge {
+    timer: TIM2,
+    /// Instructions that a measurement of nothing reads.
+    overhead: u32,
+}
+
+impl Gauge {
+    /// Instructions that `work` takes.
+    #[inline(always)]
+    fn count<T>(&self, work: impl FnOnce() -> T) -> (T, u32) {
+        let before = self.timer.cnt().read().bits();
+        let result = black_box(work());
+        let after = self.timer.cnt().read().bits();
+        (result, (after.wrapping_sub(before) / 4).wrapping_sub(self.overhead))
+    }
+
+    fn calibrate(&mut self) {
+        self.overhead = self.count(|| ()).1;
+        let mut total = Total::default();
+        for _ in 0..1_024 {
+            // SAFETY: does nothing, a thousand times.
+            total.add(self.count(|| unsafe { asm!(".rept 1000", "nop", ".endr") }).1);
+        }
+        total.print("1000 nops");
+    }
+
+    /// Measures `stage` on each of `inputs`.
+    fn stage<I, O>(&self, name: &str, inputs: impl Iterator<Item = I>, mut stage: impl FnMut(&I) -> O) {
+        let mut total = Total::default();
+        for input in inputs {
+            let input = black_box(input);
+            total.add(self.count(|| stage(black_box(&input))).1);
+        }
+        total.print(name);
+    }
+}
+
+#[derive(Clone, Copy, Default)]
+struct Total {
+    inputs: u32,
+    instructions: u32,
+    most: u32,
+}
+
+impl Total {
+    fn add(&mut self, instructions: u32) {
+        self.inputs += 1;
+        self.instructions += instructions;
+        self.most = self.most.max(instructions);
+    }
+
+    fn print(&self, name: &str) {
+        hprintln!("icount,{},{},{},{}", name, self.inputs, self.instructions, self.most);
+    }
+}
+
+fn kernels(gauge: &mut Gauge) {
+    let angles = || INPUTS.map(|slot| (slot - FLIGHT) as f32 * 5.0e-3 - 3.0);
+    gauge.stage("sin_cos", angles(), |x| sin_cos(*x));
+    gauge.stage("atan2", angles(), |x| atan2(*x, 1.0 - *x));
+    gauge.stage("sqrt", angles(), |x| sqrt(x.abs()));
+    gauge.stage("wrap_pi", angles(), |x| wrap_pi(3.0 * *x));
+}
+
+/// A slot's three sensors in SI, calibrated and prefiltered.
+#[derive(Clone, Copy)]
+struct Reading {
+    gyro: Vec3<f32>,
+    accel: Vec3<f32>,
+    mag: Vec3<f32>,
+}
+
+/// The first two stages, which make the readings for the others.
+struct Front {
+    gyro: SensorModel,
+    accel: SensorModel,
+    mag: SensorModel,
+    filters: [Prefilter; 3],
+}
+
+impl Front {
+    fn new(params: &Params) -> Result<Self, ConfigError> {
+        let cutoff_hz = params.prefilter_cutoff_hz.unwrap_or(30.0);
+        let filter = Prefilter::new(Some(Biquad::butterworth(cutoff_hz, params.imu_rate_hz)?));
+        Ok(Self {
+            gyro: SensorModel::new(SensorFields::GYRO, params.gyro, SensorCalibration::NONE)?,
+            accel: SensorModel::new(SensorFields::ACCEL, params.accel, SensorCalibration::NONE)?,
+            mag: SensorModel::new(SensorFields::MAG, params.mag, SensorCalibration::NONE)?,
+            filters: [filter; 3],
+        })
+    }
+
+    #[inline(never)]
+    fn calibrate(&self, slot: &u32) -> Reading {
+        let imu = fixed_input::imu(*slot);
+        self.apply(&(imu.gyro, imu.accel, fixed_input::mag(*slot).counts))
+    }
+
+    #[inline(never)]
+    fn apply(&self, (gyro, accel, mag): &([i16; 3], [i16; 3], [i16; 3])) -> Reading {
+        Reading { gyro: self.gyro.apply(*gyro), accel: self.accel.apply(*accel), mag: self.mag.apply(*mag) }
+    }
+
+    #[inline(never)]
+    fn filter(&mut self, raw: &Reading) -> Reading {
+        let [gyro, accel, mag] = &mut self.filters;
+        Reading { gyro: gyro.step(raw.gyro), accel: accel.step(raw.accel), mag: mag.step(raw.mag) }
+    }
+}
+
+#[inline(never)]
+fn update_9_axis(estimator: &mut Estimator, r: &Reading) {
+    estimator.update(r.gyro, r.accel, Some(r.mag), DT_S);
+}
+
+#[inline(never)]
+fn update_6_axis(estimator: &mut Estimator, r: &Reading) {
+    estimator.update(r.gyro, r.accel, None, DT_S);
+}
+
+#[inline(never)]
+fn control(controller: &mut Controller, (estimator, r): &(Estimator, Reading)) -> Vec3<f32> {
+    controller.step(estimator.down(), estimator.heading(), r.gyro, Saturation::default(), DT_S)
+}
+
+#[inline(never)]
+fn mix(mixer: &Mixer, esc: &Esc, wrench: &Wrench) -> [f32; 4] {
+    let (squares, _) = mixer.mix(wrench);
+    Mixer::speeds(squares).map(|speed| esc.pulse_us(speed))
+}
+
+fn stages(gauge: &mut Gauge) -> Result<(), ConfigError> {
+    let params = fixed_input::config().params;
+    let mut front = Front::new(&params)?;
+
+    let counts = INPUTS.map(|slot| {
+        let imu = fixed_input::imu(slot);
+        (imu.gyro, imu.accel, fixed_input::mag(slot).counts)
+    });
+    gauge.stage("calibration of 3 sensors", counts, |counts| front.apply(counts));
+    let sensors = Front::new(&params)?;
+    gauge.stage("9 prefilters", INPUTS.map(|slot| sensors.calibrate(&slot)), |raw| front.filter(raw));
+
+    for (name, nine, six) in [
+        ("paper", "estimator paper 9-axis", "estimator paper 6-axis"),
+        ("paper-literal", "estimator paper-literal 9-axis", "estimator paper-literal 6-axis"),
+        ("flight", "estimator flight 9-axis", "estimator flight 6-axis"),
+    ] {
+        let preset = EstimatorParams::PRESETS.iter().find(|(preset, _)| *preset == name);
+        let (_, preset) = preset.expect("a preset of flight-core");
+        for (stage, update) in [(nine, update_9_axis as fn(&mut Estimator, &Reading)), (six, update_6_axis)] {
+            let mut estimator = Estimator::new(preset)?;
+            let mut front = Front::new(&params)?;
+            let readings = INPUTS.map(|slot| {
+                let raw = front.calibrate(&slot);
+                front.filter(&raw)
+            });
+            gauge.stage(stage, readings, |r| update(&mut estimator, r));
+        }
+    }
+
+    let mut controller = Controller::new(&params.control, params.airframe.inertia_kg_m2)?;
+    controller.set_sticks(&Sticks { throttle: 0.5, roll: 0.2, pitch: -0.1, yaw: 0.0 });
+    let mut front = Front::new(&params)?;
+    let mut estimator = Estimator::new(&params.estimator)?;
+    let states = INPUTS.map(|slot| {
+        let raw = front.calibrate(&slot);
+        let reading = front.filter(&raw);
+        update_9_axis(&mut estimator, &reading);
+        (estimator, reading)
+    });
+    gauge.stage("control", states, |state| control(&mut controller, state));
+
+    let mixer = Mixer::new(&params.airframe)?;
+    let esc = Esc::new(&params.esc, params.airframe.idle_rad_s, params.airframe.max_rad_s)?;
+    let wrenches = INPUTS.map(|slot| Wrench {
+        thrust_n: (slot % 128) as f32 * 0.1,
+        torque_n_m: front.calibrate(&slot).gyro * 0.3,
+    });
+    gauge.stage("mixer and ESC", wrenches, |wrench| mix(&mixer, &esc, wrench));
+    Ok(())
+}
+
+#[inline(never)]
+fn step(controller: &mut FlightController, input: &Input) -> Output {
+    controller.step(input)
+}
+
+/// The whole chain over the whole table, by what there was to do.
+fn steps(gauge: &mut Gauge) -> Result<(), ConfigError> {
+    let mut controller = FlightController::new(&fixed_input::config())?;
+    let [mut all, mut disarmed, mut missing, mut six, mut nine] = [Total::default(); 5];
+    for slot in 0..STEPS {
+        let input = black_box(fixed_input::input(slot));
+        let (output, instructions) = gauge.count(|| step(&mut controller, black_box(&input)));
+        all.add(instructions);
+        let kind = match (input.imu, input.mag, &output.permit) {
+            (None, ..) => &mut missing,
+            (.., None) => &mut disarmed,
+            (_, None, _) => &mut six,
+            (_, Some(_), _) => &mut nine,
+        };
+        kind.add(instructions);
+    }
+    all.print("step");
+    disarmed.print("step disarmed");
+    missing.print("step without a sample");
+    six.print("step in flight 6-axis");
+    nine.print("step in flight 9-axis");
+
+    // The design's whole chain: every sensor in every step.
+    let mut controller = FlightController::new(&fixed_input::config())?;
+    let mut every = Total::default();
+    for slot in 0..INPUTS.end {
+        let mut input = fixed_input::input(slot);
+        input.mag = Some(fixed_input::mag(slot));
+        let input = black_box(input);
+        let (output, instructions) = gauge.count(|| step(&mut controller, black_box(&input)));
+        if output.permit.is_some() && INPUTS.contains(&slot) {
+            every.add(instructions);
+        }
+    }
+    every.print("step in flight 9-axis every time");
+    Ok(())
+}
+
+fn attitudes() -> Result<(), ConfigError> {
+    for (name, preset) in EstimatorParams::PRESETS {
+        hprintln!("attitudes,{},{}", name, fixed_input::attitudes_digest(&preset)?);
+    }
+    Ok(())
+}

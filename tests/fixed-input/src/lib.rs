@@ -1,0 +1,193 @@
+//! Five seconds of input that the host and the emulated board both step through.
+//!
+//! It is no flight: nothing closes the loop, and the sensors do not show what the motors do. It is there to
+//! drive every stage of the chain with numbers that differ from step to step, the same on every machine:
+//! integer arithmetic only, and each slot a function of its index alone.
+//!
+//! ```text
+//!  0 s      lying still: the gyroscope is zeroed
+//!  1.2 s    throttle low, yaw full right: armed at 2.2 s
+//!  2.5 s    throttle up, then roll, pitch and yaw moves; the vehicle turns at up to ±180 °/s about each axis
+//!  3.0 s    every 61st sample is missing, 5 in a row at 3.5 s, 60 in a row at 3.7 s
+//!  4.3 s    150 samples in a row are missing: the sensor counts as lost at 0.1 s, and the motors stop
+//!  4.45 s   samples again: the estimator starts anew, disarmed
+//! ```
+//!
+//! A slot is a millisecond. If its sample arrives, its step is at the slot's start; if it does not, the
+//! deadline of 1.5 periods runs the step without a sample in the middle of the slot. So each slot has
+//! exactly one step.
+#![no_std]
+#![forbid(unsafe_code)]
+#![warn(missing_docs)]
+
+use core::ffi::CStr;
+
+use flight_core::calibration::{SensorCalibration, SensorFields, SensorModel};
+use flight_core::estimator::{Estimator, EstimatorParams};
+use flight_core::geometry::Quaternion;
+use flight_core::rc::{CENTRE_TICKS, HIGH_TICKS, LOW_TICKS};
+use flight_core::sample::{Battery, Health, ImuSample, MagSample, RcFrame};
+use flight_core::{Config, ConfigError, Input, Params};
+
+/// Slots, and steps.
+pub const STEPS: u32 = 5_000;
+/// Time from one sample to the next, µs.
+pub const PERIOD_US: u32 = 1_000;
+/// Words that a step is compared by: see [`words`].
+pub const WORDS_PER_STEP: usize = 10;
+
+/// The file, in its working directory, to which the emulated board writes its words: little-endian, step by
+/// step.
+pub const WORDS_FILE: &CStr = c"words.bin";
+
+/// Receiver frames are this many slots apart: 50 Hz.
+const RC_SLOTS: u32 = 20;
+/// Magnetometer samples are this many slots apart: 100 Hz.
+const MAG_SLOTS: u32 = 10;
+/// Battery readings are this many slots apart: 10 Hz.
+const BATTERY_SLOTS: u32 = 100;
+
+/// What both sides build their flight controller from.
+pub fn config() -> Config {
+    Config { params: Params::default(), calibration: None }
+}
+
+/// Whether the slot's inertial sample arrives.
+pub fn sample_arrives(slot: u32) -> bool {
+    let lost = match slot {
+        3_500..3_505 | 3_700..3_760 | 4_300..4_450 => true,
+        3_000..STEPS => slot % 61 == 60,
+        _ => false,
+    };
+    !lost
+}
+
+/// The slot's step.
+pub fn input(slot: u32) -> Input {
+    let start_us = u64::from(slot) * u64::from(PERIOD_US);
+    let arrives = sample_arrives(slot);
+    let due = |period: u32| slot.is_multiple_of(period);
+    Input {
+        time_us: if arrives { start_us } else { start_us + u64::from(PERIOD_US / 2) },
+        imu: arrives.then(|| imu(slot)),
+        mag: due(MAG_SLOTS).then(|| mag(slot)),
+        rc: due(RC_SLOTS).then(|| sticks(slot)),
+        battery: due(BATTERY_SLOTS).then_some(Battery { voltage_v: 11.5 + (slot & 7) as f32 * 0.0625 }),
+        health: Health::default(),
+    }
+}
+
+/// A step in words, for comparison bit for bit: the low half of its time, whether the motors were driven,
+/// the four pulses that reached the outputs, and the attitude (w, x, y, z).
+pub fn words(
+    time_us: u64,
+    driven: bool,
+    pulses_us: [f32; 4],
+    attitude: Quaternion<f32>,
+) -> [u32; WORDS_PER_STEP] {
+    let [p1, p2, p3, p4] = pulses_us.map(f32::to_bits);
+    let [w, x, y, z] = attitude.to_array().map(f32::to_bits);
+    [time_us as u32, u32::from(driven), p1, p2, p3, p4, w, x, y, z]
+}
+
+/// A digest (FNV-1a, 32 bits) of the attitudes that an estimator goes through over the table's motions, with
+/// every sensor in every slot: the flight controller runs one estimator, and this compares them all.
+///
+/// # Errors
+/// Parameters out of range.
+pub fn attitudes_digest(params: &EstimatorParams) -> Result<u32, ConfigError> {
+    const DT_S: f32 = PERIOD_US as f32 * 1.0e-6;
+    let sensors = config().params;
+    let gyro = SensorModel::new(SensorFields::GYRO, sensors.gyro, SensorCalibration::NONE)?;
+    let accel = SensorModel::new(SensorFields::ACCEL, sensors.accel, SensorCalibration::NONE)?;
+    let field = SensorModel::new(SensorFields::MAG, sensors.mag, SensorCalibration::NONE)?;
+    let mut estimator = Estimator::new(params)?;
+    let mut digest = 0x811c_9dc5_u32;
+    for slot in FLIGHT..STEPS {
+        let ImuSample { gyro: rates, accel: force } = imu(slot);
+        let mag = field.apply(mag(slot).counts);
+        estimator.update(gyro.apply(rates), accel.apply(force), Some(mag), DT_S);
+        for byte in estimator.attitude().to_array().map(|x| x.to_bits().to_le_bytes()).as_flattened() {
+            digest = (digest ^ u32::from(*byte)).wrapping_mul(0x0100_0193);
+        }
+    }
+    Ok(digest)
+}
+
+/// The slot from which the vehicle turns.
+pub const FLIGHT: u32 = 2_500;
+
+/// The slot's inertial sample, whether it arrives or not.
+pub fn imu(slot: u32) -> ImuSample {
+    // Chip counts: 16.4 per °/s, 2,048 per g.
+    let (turn, shake) = if slot < FLIGHT { (0, 8) } else { (3_000, 60) };
+    let t = slot.saturating_sub(FLIGHT);
+    let noise = |channel| jitter(slot, channel, shake);
+    ImuSample {
+        gyro: [
+            triangle(t, 700, turn) + noise(0) + 21,
+            triangle(t + 150, 900, turn) + noise(1) - 13,
+            triangle(t + 300, 1_300, turn / 2) + noise(2) + 5,
+        ],
+        accel: [
+            triangle(t, 500, turn / 10) + noise(3),
+            triangle(t + 100, 600, turn / 10) + noise(4),
+            noise(5) - 2_048,
+        ],
+    }
+}
+
+/// The slot's magnetometer sample, whether there is one in it or not.
+pub fn mag(slot: u32) -> MagSample {
+    // 30 counts per µT: about 25 µT forward and 41 µT down, turning a little.
+    let noise = |channel| jitter(slot, channel, 9);
+    let t = slot.saturating_sub(FLIGHT);
+    MagSample { counts: [750 + noise(6), triangle(t, 2_100, 300) + noise(7), 1_230 + noise(8)] }
+}
+
+/// The slot's stick positions, whether there is a frame in it or not.
+pub fn sticks(slot: u32) -> RcFrame {
+    const C: u16 = CENTRE_TICKS;
+    let t = slot.saturating_sub(FLIGHT);
+    // Once up, the throttle stays above the quarter, so that it never asks to arm or to disarm.
+    let throttle = (LOW_TICKS + 450).saturating_add_signed(triangle(t, 1_600, 300)) + (t / 10) as u16;
+    let channels = match slot {
+        ..1_200 => [LOW_TICKS, C, C, C],
+        1_200..2_300 => [LOW_TICKS, C, C, HIGH_TICKS],
+        2_300..FLIGHT => [LOW_TICKS, C, C, C],
+        _ => {
+            let stick = |phase: u32, period: u32, sweep: i16| {
+                C.saturating_add_signed(triangle(t + phase, period, sweep))
+            };
+            // Yaw rests in its deadband for half of each second, so that the heading loop runs too.
+            let yaw = if t % 1_000 < 500 { C } else { stick(0, 800, 500) };
+            [throttle, stick(0, 1_100, 700), stick(400, 900, 700), yaw]
+        }
+    };
+    RcFrame { channels }
+}
+
+/// A triangle wave from 0 through `peak`, `−peak` and back, `period` slots long (a multiple of 4).
+fn triangle(t: u32, period: u32, peak: i16) -> i16 {
+    let quarter = (period / 4) as i32;
+    let phase = (t % period) as i32;
+    let saw = if phase < quarter {
+        phase
+    } else if phase < 3 * quarter {
+        2 * quarter - phase
+    } else {
+        phase - 4 * quarter
+    };
+    (i32::from(peak) * saw / quarter) as i16
+}
+
+/// A number in −`size..=size` that depends on slot and channel alone (the finalizer of MurmurHash3, which is
+/// in the public domain).
+fn jitter(slot: u32, channel: u32, size: i16) -> i16 {
+    let mut h = slot.wrapping_mul(16).wrapping_add(channel);
+    h = (h ^ (h >> 16)).wrapping_mul(0x85eb_ca6b);
+    h = (h ^ (h >> 13)).wrapping_mul(0xc2b2_ae35);
+    h ^= h >> 16;
+    let span = 2 * i32::from(size) + 1;
+    (((h >> 8) as i32) % span) as i16 - size
+}

@@ -1,0 +1,178 @@
+//! The firmware on an emulated STM32F405: what it computes, and how many instructions that takes.
+//!
+//! Both tests build the images of QEMU's `netduinoplus2` and run them with `-icount`, which ties the emulator's
+//! time to executed instructions: every run is the same, on every machine.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::ffi::OsStr;
+use std::io::Read as _;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::sync::OnceLock;
+use std::{env, fs};
+
+use fixed_input::{STEPS, WORDS_FILE, WORDS_PER_STEP};
+use flight_core::FlightController;
+use flight_core::estimator::EstimatorParams;
+
+type Words = [u32; WORDS_PER_STEP];
+
+#[test]
+#[ignore = "needs qemu-system-arm"]
+fn five_seconds_on_the_board_equal_the_host_bit_for_bit() {
+    let directory = fresh_directory("words");
+    run(&image("firmware"), &directory);
+
+    let name = WORDS_FILE.to_str().unwrap();
+    let bytes = fs::read(directory.join(name)).unwrap();
+    let board: Vec<Words> = bytes
+        .chunks_exact(4 * WORDS_PER_STEP)
+        .map(|step| {
+            let word = |n: usize| u32::from_le_bytes(step[4 * n..4 * n + 4].try_into().unwrap());
+            std::array::from_fn(word)
+        })
+        .collect();
+    assert_eq!(board.len(), STEPS as usize);
+    assert_eq!(bytes.len(), board.len() * 4 * WORDS_PER_STEP);
+
+    let host = steps_on_the_host();
+    for (slot, (board, host)) in board.iter().zip(&host).enumerate() {
+        assert_eq!(board, host, "slot {slot}: the board's words, and the host's");
+    }
+
+    // The table is worth comparing: it flies, stops, and misses samples.
+    let driven = host.iter().filter(|words| words[1] == 1).count();
+    assert!((1_500..2_500).contains(&driven), "driven in {driven} steps");
+    assert_eq!(host.last().unwrap()[1], 0, "the lost sensor stops the motors");
+    let pulses: BTreeSet<u32> = host.iter().flat_map(|words| words[2..6].to_vec()).collect();
+    assert!(pulses.len() > 3_000, "{} different pulses", pulses.len());
+    println!("{STEPS} steps of {WORDS_PER_STEP} words are the same, {driven} of them with the motors driven");
+}
+
+/// The same table, stepped here.
+fn steps_on_the_host() -> Vec<Words> {
+    let mut controller = FlightController::new(&fixed_input::config()).unwrap();
+    (0..STEPS)
+        .map(|slot| {
+            let input = fixed_input::input(slot);
+            let output = controller.step(&input);
+            let driven = output.permit.is_some();
+            fixed_input::words(input.time_us, driven, output.pulses_us, controller.attitude())
+        })
+        .collect()
+}
+
+/// The most instructions that a stage may take for any of its inputs.
+const BUDGETS: [(&str, u32); 3] = [
+    ("estimator paper 9-axis", 500),
+    ("step in flight 9-axis every time", 1_500),
+    // Everything at once that a flight can bring, and what the ground adds to it.
+    ("step", 1_500),
+];
+
+#[test]
+#[ignore = "needs qemu-system-arm"]
+fn every_estimator_equals_the_host_and_the_chain_stays_within_its_instructions() {
+    let output = run(&image("icount"), &fresh_directory("icount"));
+    let mut counts = BTreeMap::new();
+    let mut digests = BTreeMap::new();
+    println!(
+        "{:34} {:>7} {:>8} {:>6}   instructions on the emulated Cortex-M4F",
+        "stage", "inputs", "mean", "max"
+    );
+    for line in output.lines() {
+        let fields: Vec<&str> = line.split(',').collect();
+        if let ["attitudes", preset, digest] = fields[..] {
+            digests.insert(preset.to_owned(), digest.parse::<u32>().unwrap());
+            continue;
+        }
+        let ["icount", stage, inputs, total, most] = fields[..] else { panic!("{line}") };
+        let mean = total.parse::<f64>().unwrap() / inputs.parse::<f64>().unwrap();
+        println!("{stage:34} {inputs:>7} {mean:8.1} {most:>6}");
+        counts.insert(stage.to_owned(), (inputs.parse::<u32>().unwrap(), mean, most.parse::<u32>().unwrap()));
+    }
+    let host = EstimatorParams::PRESETS
+        .map(|(name, preset)| (name.to_owned(), fixed_input::attitudes_digest(&preset).unwrap()));
+    assert_eq!(digests, BTreeMap::from(host));
+
+    // The gauge reads a thousand instructions as a thousand.
+    assert_eq!(counts["1000 nops"], (1_024, 1_000.0, 1_000));
+    for (stage, budget) in BUDGETS {
+        let (inputs, _, most) = counts[stage];
+        assert!(inputs >= 1_024, "{stage}: {inputs} inputs");
+        assert!(most <= budget, "{stage}: {most} instructions, budget {budget}");
+    }
+}
+
+/// Builds the images once, in a target directory of their own: the outer build's is locked.
+fn image(name: &str) -> PathBuf {
+    static BUILT: OnceLock<PathBuf> = OnceLock::new();
+    let directory = BUILT.get_or_init(|| {
+        let target = Path::new(env!("CARGO_TARGET_TMPDIR")).join("emulated-board");
+        let status = Command::new(env::var_os("CARGO").as_deref().unwrap_or(OsStr::new("cargo")))
+            .current_dir(workspace())
+            .args(["build-qemu", "--target-dir"])
+            .arg(&target)
+            // These would replace the link arguments of .cargo/config.toml.
+            .env_remove("RUSTFLAGS")
+            .env_remove("CARGO_ENCODED_RUSTFLAGS")
+            .status()
+            .expect("cargo runs");
+        assert!(status.success(), "the image does not build");
+        target.join("thumbv7em-none-eabihf/release")
+    });
+    directory.join(name)
+}
+
+fn workspace() -> &'static Path {
+    Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap()
+}
+
+fn fresh_directory(name: &str) -> PathBuf {
+    let directory = Path::new(env!("CARGO_TARGET_TMPDIR")).join("emulated-board-runs").join(name);
+    if directory.exists() {
+        fs::remove_dir_all(&directory).unwrap();
+    }
+    fs::create_dir_all(&directory).unwrap();
+    directory
+}
+
+/// Runs an image to its end, in `directory`, and returns what it printed.
+fn run(image: &Path, directory: &Path) -> String {
+    let accesses = directory.join("accesses.log");
+    let emulator = Command::new("qemu-system-arm")
+        .current_dir(directory)
+        .args(["-machine", "netduinoplus2", "-icount", "shift=2,sleep=off"])
+        .args(["-semihosting-config", "enable=on,target=native"])
+        .args(["-display", "none", "-serial", "none", "-monitor", "none"])
+        .args(["-d", "unimp,guest_errors", "-D"])
+        .arg(&accesses)
+        .arg("-kernel")
+        .arg(image)
+        .stdin(Stdio::null())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .expect("qemu-system-arm runs: apt-get install qemu-system-arm");
+    let mut emulator = KilledOnDrop(emulator);
+    let mut printed = String::new();
+    emulator.0.stdout.take().unwrap().read_to_string(&mut printed).unwrap();
+    let mut said = String::new();
+    emulator.0.stderr.take().unwrap().read_to_string(&mut said).unwrap();
+    let status = emulator.0.wait().unwrap();
+    assert!(status.success(), "{status}\n{printed}{said}");
+    // What the emulator does not model reads as zero: an image that relies on it proves nothing.
+    let accesses = fs::read_to_string(accesses).unwrap_or_default();
+    assert!(accesses.is_empty(), "accesses that the emulator does not model:\n{accesses}");
+    printed + &said
+}
+
+struct KilledOnDrop(Child);
+
+impl Drop for KilledOnDrop {
+    fn drop(&mut self) {
+        // An error means that it has ended, which is all that is wanted.
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
