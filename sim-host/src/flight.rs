@@ -17,6 +17,7 @@ use flight_core::{ArmState, FlightController, MotorPermit, Output};
 use xxhash_rust::xxh3::Xxh3;
 
 use crate::attitude_error::{AttitudeError, AttitudeRmse};
+use crate::effects::Moment;
 use crate::pilot::{FRAME_RATE_HZ, Pilot};
 use crate::scene::{DEFAULT_RATE_HZ, FIELD_ANKARA_UT, MAG_RATE_HZ, Scene};
 use crate::sensors::Sensor;
@@ -71,8 +72,8 @@ pub struct StepView<'a> {
     pub time_us: u64,
     /// The truth at this time.
     pub truth: &'a State,
-    /// What a perfect accelerometer reads, m/s², body axes.
-    pub specific_force: Vec3<f64>,
+    /// The truth as the sensors and effects see it.
+    pub moment: Moment<'a>,
     /// Where the pilot wants the vehicle, north, east, down, m.
     pub target_m: Option<Vec3<f64>>,
     /// True rotor speeds, rad/s.
@@ -185,17 +186,16 @@ impl Flight {
         let step_s = STEP_US as f64 * 1e-6;
         let rate_hz = f64::from(DEFAULT_RATE_HZ);
         let vehicle =
-            Vehicle::at_rest(scene.vehicle, scene.mount(), scene.body_effects(), scene.motor_lag_s(), step_s);
-        let [gyro, accel, mag] = scene.converters;
+            Vehicle::at_rest(scene.vehicle, scene.mount(), scene.vehicle_effects(seed, rate_hz), step_s);
         let pilot = scene
             .pilot
             .as_ref()
             .map(|p| Pilot::new(p, scene.duration_s, scene.pilot_knowledge(), vehicle.state()));
         Self {
             vehicle,
-            gyro: Sensor::new(scene.gyro_effects(seed, rate_hz), gyro),
-            accel: Sensor::new(scene.accel_effects(seed, rate_hz), accel),
-            mag: Sensor::new(scene.mag_effects(seed, f64::from(MAG_RATE_HZ)), mag),
+            gyro: scene.gyro(seed, rate_hz),
+            accel: scene.accel(seed, rate_hz),
+            mag: scene.mag(seed, f64::from(MAG_RATE_HZ)),
             pilot,
             controller: scene.controller(),
             max_rotor_rad_s: scene.vehicle.max_rad_s,
@@ -228,7 +228,7 @@ impl Flight {
         observer.step(&StepView {
             time_us: self.time_us,
             truth: self.vehicle.state(),
-            specific_force: self.vehicle.specific_force(),
+            moment: self.vehicle.moment(),
             target_m: self.pilot.as_ref().map(|pilot| pilot.target_m(self.time_us as f64 * 1e-6)),
             rotors_rad_s: self.vehicle.rotors(),
             input: &input,
@@ -246,15 +246,16 @@ impl Flight {
     /// What arrives at the flight controller at this time.
     #[inline(always)]
     fn sense(&mut self) -> Input {
-        let state = self.vehicle.state();
+        let at = self.vehicle.moment();
+        let state = at.state;
         let imu = ImuSample {
-            gyro: self.gyro.sample(state.rates),
-            accel: self.accel.sample(self.vehicle.specific_force()),
+            gyro: self.gyro.sample(state.rates, &at),
+            accel: self.accel.sample(at.specific_force, &at),
         };
         let mag = (self.time_us >= self.next_mag_us).then(|| {
             self.next_mag_us += MAG_US;
             let field = state.attitude.to_matrix().transpose() * FIELD_ANKARA_UT;
-            MagSample { counts: self.mag.sample(field) }
+            MagSample { counts: self.mag.sample(field, &at) }
         });
         let rc = if self.time_us >= self.next_rc_us {
             self.next_rc_us += RC_US;

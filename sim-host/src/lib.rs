@@ -6,6 +6,7 @@
 #![warn(missing_docs)]
 
 pub mod attitude_error;
+pub mod effects;
 pub mod estimate;
 pub mod flight;
 pub mod input_error;

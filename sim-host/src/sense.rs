@@ -3,14 +3,13 @@
 //! A scene with a pilot is flown, and its sensors are sampled on the way. A scene without one lies on the
 //! bench, where nothing but the sensors has to be computed.
 
-use flight_core::geometry::Vec3;
-
+use crate::effects::Moment;
 use crate::flight::{Flight, Observer, STEP_US, StepView};
 use crate::input_error::InputError;
 use crate::log::{LogRow, LogWriter};
 use crate::scene::{DEFAULT_RATE_HZ, FIELD_ANKARA_UT, MAG_RATE_HZ, Scene};
 use crate::sensors::Sensor;
-use crate::vehicle::{State, Vehicle};
+use crate::vehicle::Vehicle;
 
 /// The three sensors at a rate of one's own.
 struct Sampler<'a> {
@@ -26,13 +25,12 @@ struct Sampler<'a> {
 
 impl<'a> Sampler<'a> {
     fn new(scene: &Scene, seed: u64, rate_hz: u32, out: Option<&'a mut LogWriter>) -> Self {
-        let [gyro, accel, mag] = scene.converters;
         let mag_every = u64::from(rate_hz / MAG_RATE_HZ).max(1);
         let rate_hz = f64::from(rate_hz);
         Self {
-            gyro: Sensor::new(scene.gyro_effects(seed, rate_hz), gyro),
-            accel: Sensor::new(scene.accel_effects(seed, rate_hz), accel),
-            mag: Sensor::new(scene.mag_effects(seed, rate_hz / mag_every as f64), mag),
+            gyro: scene.gyro(seed, rate_hz),
+            accel: scene.accel(seed, rate_hz),
+            mag: scene.mag(seed, rate_hz / mag_every as f64),
             mag_every,
             samples: 0,
             out,
@@ -40,15 +38,16 @@ impl<'a> Sampler<'a> {
         }
     }
 
-    /// Takes one sample of the truth at time `time_s`.
+    /// Takes one sample of the truth.
     #[inline(always)]
-    fn sample(&mut self, time_s: f64, truth: &State, specific_force: Vec3<f64>, moving: bool) {
-        let gyro = self.gyro.sample(truth.rates);
-        let accel = self.accel.sample(specific_force);
+    fn sample(&mut self, at: &Moment, moving: bool) {
+        let truth = at.state;
+        let gyro = self.gyro.sample(truth.rates, at);
+        let accel = self.accel.sample(at.specific_force, at);
         let mag = self
             .samples
             .is_multiple_of(self.mag_every)
-            .then(|| self.mag.sample(truth.attitude.to_matrix().transpose() * FIELD_ANKARA_UT));
+            .then(|| self.mag.sample(truth.attitude.to_matrix().transpose() * FIELD_ANKARA_UT, at));
         self.samples += 1;
         let Some(out) = &mut self.out else {
             // The throughput figure must not be that of a loop that was optimised away.
@@ -56,7 +55,7 @@ impl<'a> Sampler<'a> {
             return;
         };
         let row = LogRow {
-            time_s,
+            time_s: at.time_s,
             gyro_rad_s: self.gyro.nominal(gyro).into(),
             accel_m_s2: self.accel.nominal(accel).into(),
             mag_ut: mag.map(|counts| self.mag.nominal(counts).into()),
@@ -79,7 +78,7 @@ impl Observer for InFlight<'_> {
     fn step(&mut self, view: &StepView) {
         if view.time_us.is_multiple_of(self.interval_us) {
             let moving = view.output.permit.is_some();
-            self.sampler.sample(view.time_us as f64 * 1e-6, view.truth, view.specific_force, moving);
+            self.sampler.sample(&view.moment, moving);
         }
     }
 }
@@ -105,11 +104,11 @@ pub fn run(scene: &Scene, seed: u64, rate_hz: u32, out: Option<&mut LogWriter>) 
             return refused("must be from 1 to 32000 Hz");
         }
         let mut sampler = Sampler::new(scene, seed, rate_hz, out);
-        let vehicle = Vehicle::at_rest(scene.vehicle, scene.mount(), vec![], None, 1e-3);
-        let (truth, force) = (*vehicle.state(), vehicle.specific_force());
+        let vehicle = Vehicle::at_rest(scene.vehicle, scene.mount(), vec![], 1e-3);
         let samples = libm::round(scene.duration_s * f64::from(rate_hz)) as u64;
         for k in 0..samples {
-            sampler.sample(k as f64 / f64::from(rate_hz), &truth, force, true);
+            let at = Moment { time_s: k as f64 / f64::from(rate_hz), ..vehicle.moment() };
+            sampler.sample(&at, true);
         }
         sampler
     };

@@ -32,7 +32,9 @@ pub(super) struct SceneTable {
     pub duration_s: f64,
     pub seed: u64,
     pub vehicle: Vehicle,
-    pub imu: String,
+    /// Looked up before this is read: its figures complete the effects.
+    #[serde(rename = "imu")]
+    _imu: String,
     #[serde(default)]
     pub mount: MountName,
     #[serde(default)]

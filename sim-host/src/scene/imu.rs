@@ -3,12 +3,14 @@
 //! A preset gives figures; a scene names effects. `imu = "paper"` alone adds no error: it sets the converters,
 //! and an effect that the scene names without figures takes the preset's.
 
+use std::path::Path;
+
 use serde::Deserialize;
-use toml::de::DeTable;
+use toml::de::{DeTable, DeValue};
 
 use super::check;
 use super::effects::Effects;
-use super::source::Sources;
+use super::source::{self, Sources};
 use crate::input_error::InputError;
 use crate::sensors::Converter;
 
@@ -20,6 +22,32 @@ macro_rules! presets {
 
 /// The built-in presets.
 pub const PRESETS: &[(&str, &str)] = presets!["paper"];
+
+/// What `scene.imu` says, if the table says it.
+pub fn name_in(scene: &DeTable<'_>) -> Option<String> {
+    match scene.get("scene")?.get_ref() {
+        DeValue::Table(table) => source::string(table, "imu"),
+        _ => None,
+    }
+}
+
+/// Name and text of a built-in preset, or of a file beside the scene.
+pub fn find(imu: &str, scene: &Path) -> Result<(String, String), InputError> {
+    if let Some((name, text)) = PRESETS.iter().find(|(name, _)| *name == imu) {
+        return Ok((format!("imu {name}"), (*text).into()));
+    }
+    let path = scene.with_file_name(imu);
+    if imu.ends_with(".toml") {
+        let text = std::fs::read_to_string(&path).map_err(|error| {
+            InputError::new(format!("cannot be read: {error}"))
+                .file(scene)
+                .field("scene.imu")
+                .value(path.display())
+        })?;
+        return Ok((path.display().to_string(), text));
+    }
+    Err(check::unknown("scene.imu", imu, PRESETS.iter().map(|preset| preset.0)).file(scene))
+}
 
 /// A preset file.
 #[derive(Clone, Debug, Deserialize)]
@@ -69,7 +97,7 @@ impl ImuPreset {
         }
         preset.effects.validate().map_err(|error| error.file(name))?;
         let effects = match table.get("effects").map(|effects| effects.get_ref()) {
-            Some(toml::de::DeValue::Table(effects)) => effects.clone(),
+            Some(DeValue::Table(effects)) => effects.clone(),
             _ => DeTable::new(),
         };
         Ok((preset, effects))

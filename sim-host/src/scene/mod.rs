@@ -1,11 +1,15 @@
 //! What a scene says: a TOML file, read, checked, and turned into the parts of a flight.
 //!
 //! A scene names the vehicle, the sensors, the pilot and the effects. **An effect that it does not name is
-//! not built.** Every key that exists is in [`file`]; anything else is an error that names the nearest one.
+//! not built.** Every key that exists is in `file.rs` and `effects.rs`; anything else is an error that names
+//! the nearest one.
 
 mod built_in;
-mod check;
+pub(crate) mod check;
+mod effects;
 mod file;
+mod imu;
+mod source;
 
 use std::path::Path;
 
@@ -16,10 +20,17 @@ use flight_core::estimator::EstimatorParams;
 use flight_core::geometry::{Mat3, Vec3, vec3};
 use flight_core::mixer::Airframe;
 
+use crate::effects::Build;
+use crate::effects::vehicle::VehicleEffect;
 use crate::input_error::InputError;
 use crate::pilot::{Knowledge, PilotScript};
-use crate::sensors::{Converter, SensorEffect};
-use crate::vehicle::{BodyEffect, GRAVITY, Ground, Mount, VehicleParams};
+use crate::sensors::{Converter, Sensor};
+use crate::vehicle::{GRAVITY, Ground, Mount, VehicleParams};
+
+use imu::ImuPreset;
+use source::{Sources, complete, merge};
+use toml::Spanned;
+use toml::de::DeValue;
 
 pub use built_in::{BUILT_IN, BuiltIn};
 
@@ -32,6 +43,46 @@ pub const MAG_RATE_HZ: u32 = 100;
 /// The Earth's field at Ankara, north, east, down, µT: WMM2025 at 39.93° N, 32.86° E, 0.9 km, in November
 /// 2026 (declination 6.175° east, inclination 58.19°, 48.18 µT).
 pub const FIELD_ANKARA_UT: Vec3<f64> = vec3(25.248, 2.732, 40.940);
+
+/// The scenes that a scene includes, directly or through another, the nearest first.
+struct Included {
+    name: String,
+    text: String,
+}
+
+impl Included {
+    fn of(name: &str, text: &str) -> Result<Vec<Self>, InputError> {
+        let mut list: Vec<Self> = Vec::new();
+        let (mut name, mut text) = (name.to_owned(), text.to_owned());
+        while let Some(next) = source::text_at(&name, &text, "include")? {
+            let found = if let Some(scene) = BUILT_IN.iter().find(|scene| scene.name == next) {
+                Self { name: next, text: scene.text.into() }
+            } else {
+                // Beside the file that includes it.
+                let path = Path::new(&name).with_file_name(&next);
+                let text = std::fs::read_to_string(&path).map_err(|error| {
+                    InputError::new(format!(
+                        "is no built-in scene, and {} cannot be read: {error}",
+                        path.display()
+                    ))
+                    .file(&name)
+                    .field("include")
+                    .value(&next)
+                })?;
+                Self { name: path.display().to_string(), text }
+            };
+            if list.iter().any(|included| included.name == found.name) {
+                return Err(InputError::new("a scene includes itself")
+                    .file(&name)
+                    .field("include")
+                    .value(&found.name));
+            }
+            (name, text) = (found.name.clone(), found.text.clone());
+            list.push(found);
+        }
+        Ok(list)
+    }
+}
 
 /// A checked scene.
 #[derive(Clone, Debug)]
@@ -57,8 +108,7 @@ pub struct Scene {
     controller: FlightController,
     /// The sensors' converters: gyro (rad/s), accel (m/s²), mag (µT).
     pub converters: [Converter; 3],
-    effects: file::Effects,
-    preset: file::ImuPreset,
+    effects: effects::Effects,
 }
 
 impl Scene {
@@ -87,22 +137,39 @@ impl Scene {
     }
 
     /// Reads a scene from TOML; `name` is what errors and results call it.
+    ///
+    /// # Errors
+    /// Anything wrong in the text, in the scene it includes or in its sensors' preset.
     pub fn parse(name: &str, text: &str) -> Result<Self, InputError> {
         if text.trim().is_empty() {
             return Err(InputError::new("is empty; a scene needs a [scene] table").file(name));
         }
-        let file: file::SceneFile = check::from_toml(name, text)?;
-        Self::build(name, file).map_err(|error| error.file(name))
+        let below = Included::of(name, text)?;
+        // Declared before the sources that borrow them.
+        let (preset_name, preset_text);
+        let mut sources = Sources::default();
+        let mut table = sources.add(name, text)?;
+        for included in &below {
+            let under = sources.add(&included.name, &included.text)?;
+            table = merge(table, under);
+        }
+        let imu = imu::name_in(&table).unwrap_or_default();
+        (preset_name, preset_text) = imu::find(&imu, Path::new(name))?;
+        let (preset, figures) = ImuPreset::read(&mut sources, &preset_name, &preset_text)?;
+        if let Some(DeValue::Table(effects)) = table.get_mut("effects").map(Spanned::get_mut) {
+            complete(effects, &figures);
+        }
+        let file: file::SceneFile = sources.read(table)?;
+        Self::build(name, file, &preset).map_err(|error| error.file(name))
     }
 
-    fn build(name: &str, file: file::SceneFile) -> Result<Self, InputError> {
-        let file::SceneFile { scene, flight, pilot, effects } = file;
+    fn build(name: &str, file: file::SceneFile, preset: &ImuPreset) -> Result<Self, InputError> {
+        let file::SceneFile { scene, flight, pilot, effects, .. } = file;
         let vehicle = scene.vehicle.build()?;
-        let preset = file::ImuPreset::by_name(&scene.imu)?;
         effects.validate()?;
         let ball_joint = scene.mount == file::MountName::BallJoint;
         let pilot = pilot.map(|p| p.build(ball_joint)).transpose()?;
-        let config = flight.build(&vehicle, &preset)?;
+        let config = flight.build(&vehicle, preset)?;
         let controller =
             FlightController::new(&config).map_err(|e| InputError::new(e.to_string()).field("flight"))?;
         let mut built = Self {
@@ -118,7 +185,6 @@ impl Scene {
             controller,
             converters: preset.converters(),
             effects,
-            preset,
         };
         built.set_duration(scene.duration_s)?;
         Ok(built)
@@ -149,7 +215,12 @@ impl Scene {
 
     /// The names of the effects that the scene calls for, in the order in which they apply.
     pub fn effects(&self) -> Vec<&'static str> {
-        self.effects.names()
+        self.effects.named().into_iter().filter_map(|(name, named)| named.then_some(name)).collect()
+    }
+
+    /// The effects that there are and the scene does not name.
+    pub fn left_out(&self) -> Vec<&'static str> {
+        self.effects.named().into_iter().filter_map(|(name, named)| (!named).then_some(name)).collect()
     }
 
     /// How the vehicle is held.
@@ -157,60 +228,28 @@ impl Scene {
         if self.ball_joint { Mount::BallJoint } else { Mount::Free(Ground::new(&self.vehicle)) }
     }
 
-    /// Forces and torques besides thrust, gravity and ground.
-    pub fn body_effects(&self) -> Vec<BodyEffect> {
-        let mut list = Vec::new();
-        if let Some(drag) = &self.effects.vehicle.linear_drag {
-            list.push(BodyEffect::LinearDrag(drag.a_kg_per_s.into()));
-        }
-        if self.effects.vehicle.rotor_gyroscopic.is_some() {
-            list.push(BodyEffect::RotorGyroscopic(self.vehicle.rotor_inertia_kg_m2));
-        }
-        list
+    fn build_at(&self, seed: u64, rate_hz: f64) -> Build<'_> {
+        Build { name: "", seed, rate_hz, duration_s: self.duration_s, vehicle: &self.vehicle }
     }
 
-    /// Time constant of the rotors, s.
-    pub fn motor_lag_s(&self) -> Option<f64> {
-        self.effects.vehicle.motor_lag.as_ref().map(|lag| lag.tau_s)
+    /// The effects on the vehicle, for steps at this rate.
+    pub fn vehicle_effects(&self, seed: u64, rate_hz: f64) -> Vec<(&'static str, VehicleEffect)> {
+        self.effects.vehicle.build(self.build_at(seed, rate_hz))
     }
 
-    /// Errors of the gyroscope at this rate, rad/s.
-    pub fn gyro_effects(&self, seed: u64, rate_hz: f64) -> Vec<SensorEffect> {
-        let noise = self.effects.gyro.white_noise.as_ref();
-        noise
-            .map(|noise| {
-                let n = Vec3::from(noise.n_deg_per_sqrt_h.unwrap_or(self.preset.gyro_n_deg_per_sqrt_h));
-                // deg/√h to rad/s/√Hz: π/180, and √h = 60 √s.
-                let n = n * (std::f64::consts::PI / 180.0 / 60.0);
-                SensorEffect::white_noise(n, 1.0 / rate_hz, seed, "gyro.white_noise")
-            })
-            .into_iter()
-            .collect()
+    /// The gyroscope with its errors, sampled at this rate.
+    pub fn gyro(&self, seed: u64, rate_hz: f64) -> Sensor {
+        Sensor::new(self.effects.gyro.build(self.build_at(seed, rate_hz)), self.converters[0])
     }
 
-    /// Errors of the accelerometer at this rate, m/s².
-    pub fn accel_effects(&self, seed: u64, rate_hz: f64) -> Vec<SensorEffect> {
-        let noise = self.effects.accel.white_noise.as_ref();
-        noise
-            .map(|noise| {
-                let n = Vec3::from(noise.n_m_s2_per_sqrt_hz.unwrap_or(self.preset.accel_n_m_s2_per_sqrt_hz));
-                SensorEffect::white_noise(n, 1.0 / rate_hz, seed, "accel.white_noise")
-            })
-            .into_iter()
-            .collect()
+    /// The accelerometer with its errors, sampled at this rate.
+    pub fn accel(&self, seed: u64, rate_hz: f64) -> Sensor {
+        Sensor::new(self.effects.accel.build(self.build_at(seed, rate_hz)), self.converters[1])
     }
 
-    /// Errors of the magnetometer at this rate, µT.
-    pub fn mag_effects(&self, seed: u64, rate_hz: f64) -> Vec<SensorEffect> {
-        let mut list = Vec::new();
-        if let Some(iron) = &self.effects.mag.hard_iron {
-            list.push(SensorEffect::HardIron(iron.field_ut.into()));
-        }
-        if let Some(noise) = &self.effects.mag.white_noise {
-            let n = Vec3::from(noise.n_ut_per_sqrt_hz.unwrap_or(self.preset.mag_n_ut_per_sqrt_hz));
-            list.push(SensorEffect::white_noise(n, 1.0 / rate_hz, seed, "mag.white_noise"));
-        }
-        list
+    /// The magnetometer with its errors, sampled at this rate.
+    pub fn mag(&self, seed: u64, rate_hz: f64) -> Sensor {
+        Sensor::new(self.effects.mag.build(self.build_at(seed, rate_hz)), self.converters[2])
     }
 
     /// The flight controller, disarmed, at the start of its flight.
@@ -243,7 +282,7 @@ fn airframe(vehicle: &VehicleParams) -> Airframe {
 }
 
 impl file::Flight {
-    fn build(&self, vehicle: &VehicleParams, preset: &file::ImuPreset) -> Result<Config, InputError> {
+    fn build(&self, vehicle: &VehicleParams, preset: &ImuPreset) -> Result<Config, InputError> {
         let (_, estimator) =
             EstimatorParams::PRESETS.into_iter().find(|(name, _)| *name == self.estimator).ok_or_else(
                 || check::unknown("flight.estimator", &self.estimator, EstimatorParams::PRESETS.map(|p| p.0)),

@@ -39,7 +39,8 @@ impl<'a> Sources<'a> {
     fn error(&self, message: &str, at: Option<usize>) -> InputError {
         let one_line = message.split_whitespace().collect::<Vec<_>>().join(" ");
         let said = InputError::new(with_suggestion(&one_line));
-        let Some((name, text, base)) = self.texts.iter().rev().find(|(_, _, base)| at.is_none_or(|at| at >= *base))
+        let Some((name, text, base)) =
+            self.texts.iter().rev().find(|(_, _, base)| at.is_none_or(|at| at >= *base))
         else {
             return said;
         };
@@ -52,6 +53,20 @@ impl<'a> Sources<'a> {
                 said.line(1 + before.matches('\n').count() as u64)
             }
         }
+    }
+}
+
+/// The string at the top of a text under `key`, if there is one.
+pub fn text_at(name: &str, text: &str, key: &str) -> Result<Option<String>, InputError> {
+    let table = Sources::default().add(name, text)?;
+    Ok(string(&table, key))
+}
+
+/// The string in a table under `key`, if there is one.
+pub fn string(table: &DeTable<'_>, key: &str) -> Option<String> {
+    match table.get(key)?.get_ref() {
+        DeValue::String(text) => Some(text.to_string()),
+        _ => None,
     }
 }
 

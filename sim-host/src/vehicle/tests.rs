@@ -5,7 +5,7 @@ const STEP_S: f64 = 1e-3;
 
 fn in_the_air(effects: Vec<BodyEffect>) -> Vehicle {
     let ground = Ground::new(&VehicleParams::OS4);
-    let mut v = Vehicle::at_rest(VehicleParams::OS4, Mount::Free(ground), effects, Some(0.05), STEP_S);
+    let mut v = Vehicle::at_rest(VehicleParams::OS4, Mount::Free(ground), effects, STEP_S);
     v.set_state(State { position: vec3(0.0, 0.0, -100.0), ..*v.state() }, [0.0; 4]);
     v
 }
@@ -31,7 +31,7 @@ fn euler(roll: f64, pitch: f64, yaw: f64) -> Quaternion<f64> {
 #[test]
 fn at_rest_on_the_ground_it_stays_and_reads_one_g_up() {
     let ground = Ground::new(&VehicleParams::OS4);
-    let mut v = Vehicle::at_rest(VehicleParams::OS4, Mount::Free(ground), vec![], Some(0.05), STEP_S);
+    let mut v = Vehicle::at_rest(VehicleParams::OS4, Mount::Free(ground), vec![], STEP_S);
     let start = *v.state();
     for _ in 0..10_000 {
         v.advance();
@@ -74,7 +74,7 @@ fn linear_drag_reaches_terminal_velocity() {
 fn rotors_lag_exponentially_whatever_the_time_constant() {
     for tau_s in [0.05, 1e-4] {
         let ground = Ground::new(&VehicleParams::OS4);
-        let mut v = Vehicle::at_rest(VehicleParams::OS4, Mount::Free(ground), vec![], Some(tau_s), 0.01);
+        let mut v = Vehicle::at_rest(VehicleParams::OS4, Mount::Free(ground), vec![], 0.01);
         v.command([200.0; 4]);
         v.advance();
         let exact = 200.0 * (1.0 - libm::exp(-0.01 / tau_s));
@@ -209,7 +209,7 @@ fn runge_kutta_is_of_fourth_order() {
     let end = |step_s: f64| {
         let ground = Ground::new(&VehicleParams::OS4);
         let drag = vec![BodyEffect::LinearDrag(vec3(0.25, 0.25, 0.25))];
-        let mut v = Vehicle::at_rest(VehicleParams::OS4, Mount::Free(ground), drag, Some(0.05), step_s);
+        let mut v = Vehicle::at_rest(VehicleParams::OS4, Mount::Free(ground), drag, step_s);
         v.set_state(
             State { position: vec3(0.0, 0.0, -100.0), rates: vec3(2.0, 1.0, -1.5), ..*v.state() },
             [150.0, 200.0, 180.0, 210.0],
@@ -246,7 +246,7 @@ fn dropped_from_a_hand_it_comes_to_rest() {
 
 #[test]
 fn on_the_ball_joint_it_turns_but_does_not_move() {
-    let mut v = Vehicle::at_rest(VehicleParams::OS4, Mount::BallJoint, vec![], Some(0.05), STEP_S);
+    let mut v = Vehicle::at_rest(VehicleParams::OS4, Mount::BallJoint, vec![], STEP_S);
     v.command([230.0, 220.0, 220.0, 230.0]);
     run(&mut v, 0.2);
     assert_eq!((v.state().position, v.state().velocity), (Vec3::ZERO, Vec3::ZERO));

@@ -21,12 +21,8 @@ pub fn build_seeded(
 }
 
 /// Level, at rest, at time zero.
-pub const STATE: State = State {
-    position: Vec3::ZERO,
-    velocity: Vec3::ZERO,
-    attitude: Quaternion::IDENTITY,
-    rates: Vec3::ZERO,
-};
+pub const STATE: State =
+    State { position: Vec3::ZERO, velocity: Vec3::ZERO, attitude: Quaternion::IDENTITY, rates: Vec3::ZERO };
 
 /// Calls with the moment of a vehicle at rest.
 pub fn at_rest<T>(f: impl FnOnce(&Moment) -> T) -> T {
