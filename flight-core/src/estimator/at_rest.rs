@@ -3,8 +3,8 @@
 use crate::STANDARD_GRAVITY;
 use crate::geometry::Vec3;
 
-/// A gyroscope that moves less than this about its running mean is at rest, rad/s (3 °/s: sixteen times the
-/// prefiltered noise of the paper's noisiest axis, 0.19 °/s, and below what a hand does to a vehicle).
+/// A gyroscope that moves less than this about its running mean is at rest, rad/s (3 °/s: eleven times the
+/// prefiltered noise of the paper's noisiest axis, 0.26 °/s, and below what a hand does to a vehicle).
 const STILL_GYRO: f32 = 0.052;
 
 /// Likewise for the accelerometer about its running mean, m/s².

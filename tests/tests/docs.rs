@@ -1,0 +1,162 @@
+//! `docs/paper.md` against the sources: what it names exists, where it says.
+//!
+//! A paragraph that begins with **Implemented.** or **Tested by** is a list of names in backticks, each followed,
+//! after it or after more of them, by a link to the file that has them.
+
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+
+fn workspace() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
+}
+
+fn read(path: &Path) -> String {
+    std::fs::read_to_string(path).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
+}
+
+/// The page without its formulas, in paragraphs.
+fn paragraphs() -> Vec<String> {
+    let page = read(&workspace().join("docs/paper.md"));
+    let outside = page.split("```").step_by(2).collect::<Vec<_>>().join("\n\n");
+    outside.split("\n\n").map(|p| p.trim().to_owned()).filter(|p| !p.is_empty()).collect()
+}
+
+/// Names in backticks, each with the file of the next link: `name` in \[text\](file).
+fn named(paragraph: &str) -> Vec<(String, PathBuf)> {
+    let (mut found, mut waiting) = (vec![], vec![]);
+    let mut rest = paragraph;
+    while let Some(at) = rest.find(['`', '[']) {
+        let (opening, after) = rest[at..].split_at(1);
+        let closing = if opening == "`" { "`" } else { "]" };
+        let (inside, after) = after.split_once(closing).unwrap_or_else(|| panic!("not closed: {rest}"));
+        rest = after;
+        if opening == "`" {
+            waiting.push(inside.to_owned());
+        } else if let Some((target, after)) = rest.strip_prefix('(').and_then(|r| r.split_once(')')) {
+            rest = after;
+            let file = workspace().join("docs").join(target);
+            found.extend(waiting.drain(..).map(|name| (name, file.clone())));
+        }
+    }
+    // Behind the last link only remarks, such as the name of a scene.
+    let stray = waiting.iter().find(|name| name.contains(['_', ':']));
+    assert!(stray.is_none(), "{stray:?} has no file");
+    found
+}
+
+/// `text` behind `word`, if it begins with it and the word ends there.
+fn after_word<'a>(text: &'a str, word: &str) -> Option<&'a str> {
+    let rest = text.strip_prefix(word)?;
+    (!rest.starts_with(|c: char| c.is_alphanumeric() || c == '_')).then_some(rest)
+}
+
+/// The functions of a source that carry `#[test]`.
+fn tests_in(source: &str) -> BTreeSet<String> {
+    let mut tests = BTreeSet::new();
+    let mut is_test = false;
+    for line in source.lines().map(str::trim) {
+        if line == "#[test]" {
+            is_test = true;
+        } else if let Some(name) = line.strip_prefix("fn ") {
+            if is_test {
+                tests.extend(name.split_once('(').map(|(name, _)| name.to_owned()));
+            }
+            is_test = false;
+        }
+    }
+    tests
+}
+
+/// Whether the source defines the last part of `name` (a function, type, constant, field or variant) and
+/// knows the other parts.
+fn defines(source: &str, name: &str) -> bool {
+    let mut parts: Vec<&str> = name.split("::").collect();
+    let last = parts.pop().unwrap_or_default();
+    let is_definition = |line: &str| {
+        let line = line.trim();
+        let line = line.strip_prefix("pub").map_or(line, |rest| {
+            rest.strip_prefix('(').and_then(|r| r.split_once(')')).map_or(rest, |(_, rest)| rest).trim_start()
+        });
+        let line = line.strip_prefix("const fn").map_or(line, |_| &line["const ".len()..]);
+        ["fn", "struct", "enum", "const", "trait"].iter().any(|keyword| {
+            after_word(line, keyword).is_some_and(|rest| after_word(rest.trim_start(), last).is_some())
+        }) || after_word(line, last).is_some_and(|rest| rest.starts_with([':', '(', ',', ' ']))
+    };
+    source.lines().any(is_definition) && parts.iter().all(|part| source.contains(part))
+}
+
+#[test]
+fn docs_name_real_tests() {
+    let mut names = BTreeSet::new();
+    for paragraph in paragraphs().iter().filter(|p| p.starts_with("**Tested by**")) {
+        for (name, file) in named(paragraph) {
+            // A scene or estimator in the remarks is one word.
+            if !name.contains('_') {
+                continue;
+            }
+            assert!(tests_in(&read(&file)).contains(&name), "{} has no test {name}", file.display());
+            names.insert(name);
+        }
+    }
+    assert!(names.len() > 60, "only {} tests are named", names.len());
+
+    // And none of the paper's own tests goes unnamed.
+    let own = std::fs::read_dir(workspace().join("tests/tests/paper")).unwrap();
+    for file in own.map(|entry| entry.unwrap().path()) {
+        for test in tests_in(&read(&file)) {
+            assert!(names.contains(&test), "docs/paper.md does not name {test} of {}", file.display());
+        }
+    }
+}
+
+#[test]
+fn docs_name_real_code() {
+    let mut count = 0;
+    for paragraph in paragraphs().iter().filter(|p| p.starts_with("**Implemented.**")) {
+        for (name, file) in named(paragraph) {
+            assert!(defines(&read(&file), &name), "{} does not define {name}", file.display());
+            count += 1;
+        }
+    }
+    assert!(count > 25, "only {count} names");
+}
+
+#[test]
+fn every_equation_is_printed_judged_implemented_and_tested() {
+    let paragraphs = paragraphs();
+    let sections: Vec<_> = paragraphs.split(|p| p.starts_with('#')).collect();
+    let titles = paragraphs.iter().filter(|p| p.starts_with('#'));
+    let mut equations = 0;
+    for (title, body) in titles.zip(&sections[1..]).filter(|(title, _)| title.starts_with("### ")) {
+        for part in ["**Printed.**", "**Wrong or ambiguous.**", "**Implemented.**", "**Tested by**"] {
+            assert_eq!(body.iter().filter(|p| p.starts_with(part)).count(), 1, "{title}: {part}");
+        }
+        equations += 1;
+    }
+    assert_eq!(equations, 12);
+}
+
+#[test]
+fn links_lead_somewhere() {
+    let paragraphs = paragraphs();
+    // The anchor of a heading: lower case, no punctuation, hyphens for spaces.
+    let anchors: BTreeSet<String> = paragraphs
+        .iter()
+        .filter_map(|p| p.strip_prefix('#').map(|p| p.trim_start_matches('#').trim()))
+        .map(|title| {
+            let kept = |c: &char| c.is_alphanumeric() || matches!(c, ' ' | '-' | '_');
+            title.to_lowercase().chars().filter(kept).map(|c| if c == ' ' { '-' } else { c }).collect()
+        })
+        .collect();
+    for paragraph in &paragraphs {
+        for target in paragraph.split("](").skip(1).filter_map(|rest| rest.split_once(')')).map(|(t, _)| t) {
+            if target.starts_with("img/") {
+                continue; // drawn by a program
+            }
+            match target.strip_prefix('#') {
+                Some(anchor) => assert!(anchors.contains(anchor), "no heading for #{anchor}"),
+                None => assert!(workspace().join("docs").join(target).exists(), "no file {target}"),
+            }
+        }
+    }
+}

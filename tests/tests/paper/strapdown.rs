@@ -1,0 +1,128 @@
+//! Eqs 1-3: what a sensor error does to a position that is computed from the sensors alone.
+//!
+//! The vehicle stands still and level. Its sensors' readings, before the converter (1 mg is two counts of a
+//! ±16 g chip, 1 °/h is a two-hundredth of one of ±2,000 °/s), go into a strapdown integration: turn by the
+//! gyroscope, add gravity to the specific force, integrate twice. All of it is f64.
+
+use flight_core::geometry::{Quaternion, Vec3, vec3};
+use sim_host::scene::Scene;
+use sim_host::sensors::Sensor;
+use sim_host::vehicle::GRAVITY;
+
+use crate::spread::Spread;
+
+const REST: Vec3<f64> = vec3(0.0, 0.0, -GRAVITY);
+const TIME_S: f64 = 60.0;
+const RATE_HZ: f64 = 100.0;
+
+struct Strapdown {
+    attitude: Quaternion<f64>,
+    velocity: Vec3<f64>,
+    position: Vec3<f64>,
+    acceleration: Vec3<f64>,
+}
+
+impl Strapdown {
+    fn level_at_rest() -> Self {
+        let [velocity, position, acceleration] = [Vec3::ZERO; 3];
+        Self { attitude: Quaternion::IDENTITY, velocity, position, acceleration }
+    }
+
+    /// Takes the readings at the end of an interval of `h` s; trapezoidal in velocity and position.
+    fn step(&mut self, rate: Vec3<f64>, force: Vec3<f64>, h: f64) {
+        let half = rate * (0.5 * h);
+        let angle = half.norm();
+        let sinc = if angle > 0.0 { libm::sin(angle) / angle } else { 1.0 };
+        self.attitude = self.attitude * Quaternion { w: libm::cos(angle), v: half * sinc };
+        let acceleration = self.attitude.rotate(force) + vec3(0.0, 0.0, GRAVITY);
+        let velocity = self.velocity + (self.acceleration + acceleration) * (0.5 * h);
+        self.position += (self.velocity + velocity) * (0.5 * h);
+        self.velocity = velocity;
+        self.acceleration = acceleration;
+    }
+}
+
+/// Position after a minute at rest, with sensors that have these errors besides their `effects`.
+fn position_after_a_minute(
+    [gyro, accel]: &mut [Sensor; 2],
+    rate_bias: Vec3<f64>,
+    force_bias: Vec3<f64>,
+) -> Vec3<f64> {
+    let mut strapdown = Strapdown::level_at_rest();
+    // The reading at time 0, so that the first trapezium has both its sides.
+    strapdown.acceleration = force_bias;
+    for _ in 0..(TIME_S * RATE_HZ) as u32 {
+        strapdown.step(gyro.measure(rate_bias), accel.measure(REST + force_bias), 1.0 / RATE_HZ);
+    }
+    strapdown.position
+}
+
+fn built_in(name: &str) -> Scene {
+    Scene::load(name).unwrap_or_else(|error| panic!("{error}"))
+}
+
+/// Sensors without any error of their own.
+fn perfect() -> [Sensor; 2] {
+    let [gyro, accel, _] = built_in("static").converters;
+    [Sensor::new(vec![], gyro), Sensor::new(vec![], accel)]
+}
+
+#[test]
+fn accelerometer_bias_of_1_mg_is_17_65_m_after_a_minute() {
+    let bias = 1e-3 * GRAVITY;
+    let closed_form = 0.5 * bias * TIME_S * TIME_S;
+    assert!((closed_form - 17.652).abs() < 0.001);
+    for axis in [vec3(1.0, 0.0, 0.0), vec3(0.0, 1.0, 0.0), vec3(0.0, 0.0, 1.0)] {
+        let position = position_after_a_minute(&mut perfect(), Vec3::ZERO, axis * bias);
+        assert!((position - axis * closed_form).norm() < 1e-9 * closed_form, "{position:?}");
+    }
+}
+
+#[test]
+fn gyroscope_bias_of_1_deg_per_h_is_1_7116_m_after_a_minute() {
+    let bias = 1.0_f64.to_radians() / 3600.0;
+    let closed_form = GRAVITY * bias * TIME_S * TIME_S * TIME_S / 6.0;
+    assert!((closed_form - 1.7116).abs() < 0.0001);
+    // What is not supported of g for a tilt b t, g (b t)²/2, falls by g b² t⁴/24: 0.12 mm.
+    let down = GRAVITY * bias * bias * TIME_S * TIME_S * TIME_S * TIME_S / 24.0;
+    // Held to be rolled to the right, it seems pushed east; nose up, it seems pushed south.
+    for (rate, towards) in [
+        (vec3(bias, 0.0, 0.0), vec3(0.0, closed_form, down)),
+        (vec3(0.0, bias, 0.0), vec3(-closed_form, 0.0, down)),
+        (vec3(0.0, 0.0, bias), Vec3::ZERO),
+    ] {
+        let position = position_after_a_minute(&mut perfect(), rate, Vec3::ZERO);
+        // The trapezia overshoot t³/6 by h²t/6 relative (h/t)² = 3e-8; the angle, 3e-4 rad, squares to 1e-7.
+        assert!((position - towards).norm() < 1e-6 * closed_form, "{position:?}");
+    }
+}
+
+/// The same for the white noise of table 2: the double integral of white noise N grows as N √(t³/3), and a
+/// tilt that walks at random turns into g N √(t⁵/20).
+#[test]
+fn the_noise_of_table_2_outruns_both_biases() {
+    let scene = built_in("static");
+    let g_n = |deg_per_sqrt_h: f64| GRAVITY * (deg_per_sqrt_h / 60.0).to_radians();
+    let by_gyro = libm::sqrt(libm::pow(TIME_S, 5.0) / 20.0);
+    let by_accel = libm::sqrt(libm::pow(TIME_S, 3.0) / 3.0);
+    // North comes from the pitch gyroscope and the x accelerometer, east from roll and y.
+    let by_both = |deg_per_sqrt_h| libm::hypot(g_n(deg_per_sqrt_h) * by_gyro, 0.0012 * by_accel);
+    let expected = [by_both(1.239), by_both(1.9368)];
+    assert!((expected[1] - 34.45).abs() < 0.01 && (0.0012 * by_accel - 0.322).abs() < 0.001);
+
+    let [gyro, accel, _] = scene.converters;
+    let mut spreads = [Spread::default(); 2];
+    for seed in 0..1000 {
+        let mut sensors = [
+            Sensor::new(scene.gyro_effects(seed, RATE_HZ), gyro),
+            Sensor::new(scene.accel_effects(seed, RATE_HZ), accel),
+        ];
+        let position = position_after_a_minute(&mut sensors, Vec3::ZERO, Vec3::ZERO);
+        for (spread, axis) in spreads.iter_mut().zip([position.x, position.y]) {
+            spread.add(axis);
+        }
+    }
+    for (spread, expected) in spreads.iter().zip(expected) {
+        spread.assert_deviation(expected, 1.0);
+    }
+}
