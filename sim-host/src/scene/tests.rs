@@ -1,4 +1,5 @@
 use super::*;
+use crate::effects::sensor::testing::at_rest;
 
 #[test]
 fn every_built_in_scene_reads_and_describes_itself() {
@@ -12,9 +13,39 @@ fn every_built_in_scene_reads_and_describes_itself() {
 fn what_is_not_named_is_not_built() {
     let text = "[scene]\nduration_s = 1.0\nseed = 1\nvehicle = \"os4\"\nimu = \"paper\"\n";
     let scene = Scene::parse("bare", text).unwrap();
-    assert!(scene.effects().is_empty() && scene.body_effects().is_empty() && scene.motor_lag_s().is_none());
-    assert!(scene.gyro_effects(1, 1e3).is_empty() && scene.accel_effects(1, 1e3).is_empty());
-    assert!(scene.mag_effects(1, 1e2).is_empty() && scene.pilot.is_none());
+    assert!(scene.effects().is_empty() && scene.vehicle_effects(1, 1e3).is_empty() && scene.pilot.is_none());
+    let truth = vec3(0.1, 0.2, 0.3);
+    at_rest(|at| {
+        for mut sensor in [scene.gyro(1, 1e3), scene.accel(1, 1e3), scene.mag(1, 1e2)] {
+            assert_eq!(sensor.measure(truth, at), truth);
+        }
+    });
+}
+
+const BARE: &str = "[scene]\nduration_s = 1.0\nseed = 1\nvehicle = \"os4\"\nimu = \"paper\"\n";
+
+#[test]
+fn an_effect_without_figures_takes_the_presets_and_others_stay_unnamed() {
+    let scene = Scene::parse("preset", &format!("{BARE}[effects.gyro.white_noise]\n")).unwrap();
+    assert_eq!(scene.effects(), ["gyro.white_noise"]);
+    let figures = "n_deg_per_sqrt_h = [1.9368, 1.239, 1.239]";
+    let same = Scene::parse("said", &format!("{BARE}[effects.gyro.white_noise]\n{figures}\n")).unwrap();
+    at_rest(|at| {
+        let (mut taken, mut said) = (scene.gyro(1, 1e3), same.gyro(1, 1e3));
+        assert_eq!(taken.measure(Vec3::ZERO, at), said.measure(Vec3::ZERO, at));
+    });
+}
+
+#[test]
+fn a_scene_alters_the_one_it_includes() {
+    let text = "include = \"hover\"\n[scene]\nseed = 99\n[effects.vehicle.motor_lag]\ntau_s = 0.02\n";
+    let (altered, hover) = (Scene::parse("altered", text).unwrap(), Scene::load("hover").unwrap());
+    assert_eq!((altered.seed, altered.duration_s), (99, hover.duration_s));
+    assert_eq!((altered.effects(), &altered.pilot), (hover.effects(), &hover.pilot));
+    let wrong = Scene::parse("wrong", "include = \"hover\"\n[scene]\nsed = 99\n").unwrap_err().to_string();
+    assert!(wrong.starts_with("wrong:3: unknown field `sed`"), "{wrong}");
+    let lost = Scene::parse("lost", "include = \"nowhere.toml\"\n").unwrap_err().to_string();
+    assert!(lost.starts_with("lost: include = nowhere.toml: is no built-in scene"), "{lost}");
 }
 
 #[test]
