@@ -13,7 +13,7 @@ use crate::arithmetic::{max, min, sin_cos, sqrt, wrap_pi};
 use crate::config::{ConfigError, check};
 use crate::geometry::{Vec3, vec3};
 use crate::mixer::Saturation;
-use crate::rc::Sticks;
+use crate::rc::{Gesture, Sticks};
 
 /// Gains and limits of the cascade.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -129,12 +129,13 @@ impl Controller {
 
     /// Takes new stick positions: 50 to 150 times a second, so the sines stand here, not in [`Self::step`].
     pub fn set_sticks(&mut self, sticks: &Sticks) {
+        // A full yaw stick at low throttle asks to arm or disarm, not to turn.
+        let turn = sticks.yaw.abs() > YAW_DEADBAND && sticks.gesture() == Gesture::None;
         let (sin_roll, cos_roll) = sin_cos(sticks.roll * self.params.max_tilt_rad);
         let (sin_pitch, cos_pitch) = sin_cos(-sticks.pitch * self.params.max_tilt_rad);
         self.setpoint = Setpoint {
             down: vec3(-sin_pitch, sin_roll * cos_pitch, cos_roll * cos_pitch),
-            yaw_rate: (sticks.yaw.abs() > YAW_DEADBAND)
-                .then_some(sticks.yaw * self.params.max_yaw_rate_rad_s),
+            yaw_rate: turn.then_some(sticks.yaw * self.params.max_yaw_rate_rad_s),
             throttle: sticks.throttle,
         };
     }
@@ -288,6 +289,16 @@ mod tests {
             c.step(tilted, 1.0, Vec3::ZERO, FREE, 1e-3);
         }
         assert_eq!(c.integral.x, -ControlParams::OS4.max_integral_rad_s2.x);
+    }
+
+    #[test]
+    fn a_gesture_is_no_command_to_turn() {
+        let mut c = controller(CENTRED);
+        c.step(Vec3::Z, 0.0, Vec3::ZERO, FREE, 1e-3);
+        c.set_sticks(&Sticks { throttle: 0.0, yaw: -1.0, ..CENTRED });
+        assert_eq!(c.step(Vec3::Z, 0.0, Vec3::ZERO, FREE, 1e-3), Vec3::ZERO);
+        c.set_sticks(&Sticks { throttle: 0.1, yaw: -1.0, ..CENTRED });
+        assert!(c.step(Vec3::Z, 0.0, Vec3::ZERO, FREE, 1e-3).z < 0.0);
     }
 
     #[test]

@@ -6,6 +6,7 @@
 #![warn(missing_docs)]
 
 pub mod attitude_error;
+pub mod chart;
 pub mod effects;
 pub mod estimate;
 pub mod flight;
@@ -14,6 +15,7 @@ pub mod log;
 pub mod output_file;
 pub mod pilot;
 pub mod random;
+pub mod report;
 pub mod scene;
 pub mod sense;
 pub mod sensors;

@@ -7,6 +7,7 @@ use std::time::Instant;
 use serde_json::{Value, json};
 use sim_host::flight::{Flight, FlightLog, Outcome};
 use sim_host::input_error::InputError;
+use sim_host::report::{self, Recorder};
 use sim_host::scene::Scene;
 
 use super::progress::{self, FlightProgress};
@@ -20,17 +21,21 @@ pub fn run(arguments: &FlyArguments) -> Result<Answer, InputError> {
 /// One flight, with whatever is to be written about it.
 fn one(scene: &Scene, arguments: &FlyArguments) -> Result<Answer, InputError> {
     let log = arguments.log.as_ref().map(|path| FlightLog::create(path, scene)).transpose()?;
+    let recorder = arguments.report.as_ref().map(|_| Recorder::new());
     let progress = FlightProgress::new(scene.duration_s, &scene.name);
 
-    let mut observer = (log, progress);
+    let mut observer = ((log, recorder), progress);
     let start = Instant::now();
     let outcome = Flight::new(scene, scene.seed).run(&mut observer);
     let wall_s = start.elapsed().as_secs_f64();
-    let (log, progress) = observer;
+    let ((log, recorder), progress) = observer;
     progress.finish();
 
     if let Some(log) = log {
         log.finish()?;
+    }
+    if let (Some(path), Some(recorder)) = (&arguments.report, &recorder) {
+        report::write(path, scene, scene.seed, &outcome, recorder)?;
     }
     Ok(Answer {
         json: to_json(scene, scene.seed, &outcome, wall_s),

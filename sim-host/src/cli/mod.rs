@@ -60,6 +60,9 @@ struct FlyArguments {
     /// Write the sensor log, truth and pulses of the flight
     #[arg(long, value_name = "F.csv", conflicts_with = "runs")]
     log: Option<PathBuf>,
+    /// Write a report with plots, readable in any browser without a network
+    #[arg(long, value_name = "F.html", conflicts_with = "runs")]
+    report: Option<PathBuf>,
 }
 
 #[derive(clap::Args)]

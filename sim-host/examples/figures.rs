@@ -1,0 +1,125 @@
+//! Makes the pictures of the documentation anew, from flights:
+//!
+//! ```text
+//! cargo run --release -p sim-host --example figures [DIRECTORY]
+//! ```
+//!
+//! They go to `docs/img`, or to the directory given. The same program makes the same bytes.
+
+use std::error::Error;
+use std::io::Write as _;
+use std::path::{Path, PathBuf};
+
+use sim_host::chart::{Chart, Line, Mark, Panel, Stroke, colour};
+use sim_host::flight::{Flight, Outcome};
+use sim_host::output_file::OutputFile;
+use sim_host::report::figures::{ESTIMATE, TARGET, TRUTH, line, marks, panel};
+use sim_host::report::{Channel, Recorder};
+use sim_host::scene::{BUILT_IN, Scene};
+
+/// Fits the width of a README, px.
+const WIDTH: f64 = 900.0;
+
+fn main() -> Result<(), Box<dyn Error>> {
+    let docs = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/img");
+    let directory = std::env::args_os().nth(1).map_or(docs, PathBuf::from);
+    std::fs::create_dir_all(&directory)?;
+    let directory = directory.canonicalize()?;
+    for (name, chart) in [("hover", hover()?), ("paper-cannot-fly", paper_cannot_fly()?)] {
+        let path = directory.join(name).with_extension("svg");
+        let mut file = OutputFile::create(&path)?;
+        file.write_all(chart.to_svg_file().as_bytes())?;
+        file.finish()?;
+        println!("{}", path.display());
+    }
+    Ok(())
+}
+
+fn fly(scene: &Scene) -> (Outcome, Recorder) {
+    let mut recorder = Recorder::new();
+    let outcome = Flight::new(scene, scene.seed).run(&mut recorder);
+    (outcome, recorder)
+}
+
+/// The README's picture: take-off, hold and landing, in three strips.
+fn hover() -> Result<Chart, Box<dyn Error>> {
+    let scene = Scene::load("hover")?;
+    let (outcome, recorder) = fly(&scene);
+    let height = vec![
+        line(&recorder, Channel::Height, "truth", TRUTH),
+        line(&recorder, Channel::HeightTarget, "pilot's target", TARGET),
+    ];
+    let error = vec![
+        line(&recorder, Channel::HeadingError, "heading", Stroke::solid(colour::BLUE, 1.4)),
+        line(&recorder, Channel::InclinationError, "inclination", Stroke::solid(colour::VERMILLION, 1.4)),
+    ];
+    // Each narrower than the one below it: in a hover the four are nearly the same.
+    let strokes = [(colour::SKY, 5.8), (colour::ORANGE, 4.0), (colour::BLUE, 2.2), (colour::BLACK, 0.8)];
+    let motors = strokes.into_iter().enumerate().map(|(k, (colour, width))| {
+        line(&recorder, Channel::Pulse(k), &format!("rotor {}", k + 1), Stroke::solid(colour, width))
+    });
+    Ok(Chart {
+        width: WIDTH,
+        heading: Some((
+            "A flight: take off, hold 2 m, land".into(),
+            format!(
+                "1 kHz control on simulated sensor counts · estimate within {:.2}° RMS of the true attitude · \
+                 vehicle within {:.2} m of the pilot's target",
+                outcome.attitude_rmse_deg, outcome.position_error_max_m
+            ),
+        )),
+        description: "Height, error of the estimated attitude and ESC pulses during the hover scene".into(),
+        time_s: (0.0, scene.duration_s),
+        panels: vec![
+            panel("Height", "m", 90.0, height),
+            Panel { covers: vec![0.0, 1.0], ..panel("Attitude error", "°", 42.0, error) },
+            Panel { covers: vec![1000.0, 2000.0], ..panel("ESC pulses", "µs", 54.0, motors.collect()) },
+        ],
+        marks: marks(&outcome, &recorder),
+    })
+}
+
+/// Why a filter made for a bench cannot fly: true and estimated tilt in the scene `steps`, with the
+/// estimator `flight` and with `paper`.
+fn paper_cannot_fly() -> Result<Chart, Box<dyn Error>> {
+    let steps = BUILT_IN.iter().find(|scene| scene.name == "steps").ok_or("no scene named steps")?;
+    let flown = |estimator: &str| {
+        let text = steps.text.replace("estimator = \"flight\"", &format!("estimator = \"{estimator}\""));
+        Scene::parse(steps.name, &text).map(|scene| fly(&scene))
+    };
+    let (_, good) = flown("flight")?;
+    let (outcome, bad) = flown("paper")?;
+    let (crash, crash_s) = outcome.crash.ok_or("the vehicle did not crash with the estimator paper")?;
+    let strip = |title: &str, recorder: &Recorder, [truth, estimate]: [&str; 2]| {
+        let lines: Vec<Line> = vec![
+            line(recorder, Channel::TiltTruth, truth, TRUTH),
+            line(recorder, Channel::TiltEstimate, estimate, ESTIMATE),
+        ];
+        Panel { covers: vec![0.0, 90.0], ..panel(title, "°", 116.0, lines) }
+    };
+    let mark = |time_s: f64, label: &str, colour| Mark { time_s, label: label.into(), colour };
+    Ok(Chart {
+        width: WIDTH,
+        heading: Some((
+            "In free flight the accelerometer hardly shows tilt".into(),
+            format!(
+                "30° doublets. A filter that leans on it loses the tilt within half a second, and the vehicle \
+                 swings until it crashes: {}.",
+                crash.text()
+            ),
+        )),
+        description: "True and estimated tilt during doublets of 30°: with the estimator flight they agree; \
+                      with the estimator paper they part, and the vehicle tips over"
+            .into(),
+        time_s: (13.0, 25.0),
+        panels: vec![
+            strip("Tilt with the estimator flight, τ = 10 s", &good, ["truth", "estimate"]),
+            strip("Tilt with the estimator paper, τ = 0.323 s", &bad, ["", ""]),
+        ],
+        marks: vec![
+            mark(14.0, "roll doublet", colour::GREY),
+            mark(19.0, "pitch doublet", colour::GREY),
+            mark(crash_s, "crash with paper", colour::VERMILLION),
+        ],
+    })
+}

@@ -1,0 +1,220 @@
+//! The figures of a report: what of a recorded flight is plotted, and how.
+
+use flight_core::arming::{DisarmCause, Event, Refusal};
+
+use super::recorder::{Channel, Recorder};
+use crate::chart::{Chart, Line, Mark, Panel, RightAxis, Stroke, colour};
+use crate::flight::Outcome;
+use crate::scene::Scene;
+
+/// Width of a report's charts, px.
+const WIDTH: f64 = 920.0;
+
+/// What is true: broad and light, so that what is estimated can lie on it and both be seen.
+pub const TRUTH: Stroke = Stroke::solid(colour::SKY, 3.5);
+/// What is estimated.
+pub const ESTIMATE: Stroke = Stroke::solid(colour::VERMILLION, 1.3);
+/// What is noisy: a band under the truth.
+const MEASURED: Stroke = Stroke::solid(colour::ORANGE, 2.0);
+/// What is true, over what is noisy.
+const TRUTH_ON_MEASURED: Stroke = Stroke::solid(colour::BLACK, 1.1);
+/// What the pilot wants.
+pub const TARGET: Stroke = Stroke::dashed(colour::BLACK, 1.3);
+
+/// A chart with a title and a sentence or two that say how to read it.
+pub(super) struct Figure {
+    pub title: &'static str,
+    pub caption: String,
+    pub chart: Chart,
+}
+
+/// All figures that this flight has something to show in.
+pub(super) fn all(scene: &Scene, outcome: &Outcome, recorder: &Recorder) -> Vec<Figure> {
+    let mut list = vec![attitude(recorder), estimate_error(recorder), rates(recorder)];
+    if scene.pilot.is_some() {
+        list.push(motors(scene, recorder));
+        if !scene.ball_joint {
+            list.push(place(recorder));
+        }
+    }
+    for figure in &mut list {
+        figure.chart.time_s = (0.0, outcome.flown_s());
+        figure.chart.marks = marks(outcome, recorder);
+    }
+    list
+}
+
+/// The events of a flight, and its crash.
+pub fn marks(outcome: &Outcome, recorder: &Recorder) -> Vec<Mark> {
+    let event = |&(time_s, event): &(f64, Event)| {
+        let (label, colour) = match event {
+            Event::Armed => ("armed".into(), colour::GREEN),
+            Event::Disarmed(DisarmCause::Sticks) => ("disarmed".into(), colour::GREEN),
+            Event::Disarmed(cause) => (format!("disarmed: {}", disarm_text(cause)), colour::VERMILLION),
+            Event::Refused(why) => (format!("arming refused: {}", refusal_text(why)), colour::VERMILLION),
+        };
+        Mark { time_s, label, colour }
+    };
+    let mut list: Vec<Mark> = recorder.events().iter().map(event).collect();
+    if let Some((_, time_s)) = outcome.crash {
+        list.push(Mark { time_s, label: "crash".into(), colour: colour::VERMILLION });
+    }
+    list
+}
+
+fn disarm_text(cause: DisarmCause) -> &'static str {
+    match cause {
+        DisarmCause::Sticks => "by the pilot",
+        DisarmCause::BenchLock => "outputs locked",
+        DisarmCause::ImuLost => "inertial sensor lost",
+        DisarmCause::RcLost => "receiver lost",
+    }
+}
+
+fn refusal_text(why: Refusal) -> &'static str {
+    match why {
+        Refusal::BenchLock => "outputs locked",
+        Refusal::ImuLost => "inertial sensor lost",
+        Refusal::NotStill => "not still",
+        Refusal::NotLevel => "not level",
+        Refusal::BatteryLow => "battery low",
+    }
+}
+
+/// A line of a channel.
+pub fn line(recorder: &Recorder, channel: Channel, label: &str, stroke: Stroke) -> Line {
+    Line { label: label.into(), stroke, points: recorder.points(channel) }
+}
+
+/// A panel whose axis fits its lines.
+pub fn panel(title: &str, unit: &'static str, height: f64, lines: Vec<Line>) -> Panel {
+    Panel { title: title.into(), unit, height, covers: Vec::new(), least_span: 0.0, right: None, lines }
+}
+
+fn chart(description: &str, panels: Vec<Panel>) -> Chart {
+    Chart {
+        width: WIDTH,
+        heading: None,
+        description: description.into(),
+        time_s: (0.0, 0.0),
+        panels,
+        marks: Vec::new(),
+    }
+}
+
+fn attitude(recorder: &Recorder) -> Figure {
+    let axis = |(k, title): (usize, &str)| {
+        // One legend is enough for three panels.
+        let label = |text| if k == 0 { text } else { "" };
+        let lines = vec![
+            line(recorder, Channel::AttitudeTruth(k), label("truth"), TRUTH),
+            line(recorder, Channel::AttitudeEstimate(k), label("estimate"), ESTIMATE),
+        ];
+        Panel { least_span: 1.0, ..panel(title, "°", 110.0, lines) }
+    };
+    let panels = [(0, "Roll"), (1, "Pitch"), (2, "Yaw")].map(axis);
+    Figure {
+        title: "Attitude",
+        caption:
+            "The attitude that the flight code estimates, over the true one. Positive: right side down, \
+                  nose up, clockwise from north."
+                .into(),
+        chart: chart("Roll, pitch and yaw over time: truth and estimate", panels.into()),
+    }
+}
+
+fn estimate_error(recorder: &Recorder) -> Figure {
+    let error = |title: &str, channel, colour| {
+        let lines = vec![line(recorder, channel, "", Stroke::solid(colour, 1.4))];
+        Panel { covers: vec![0.0], least_span: 0.05, ..panel(title, "°", 90.0, lines) }
+    };
+    Figure {
+        title: "Error of the estimate",
+        caption:
+            "The rotation from the true to the estimated attitude, split into a turn about the vertical \
+                  (heading, from the magnetometer) and a turn about a level axis (inclination, from the \
+                  accelerometer)."
+                .into(),
+        chart: chart(
+            "Heading and inclination error of the estimate over time",
+            vec![
+                error("Heading error", Channel::HeadingError, colour::BLUE),
+                error("Inclination error", Channel::InclinationError, colour::VERMILLION),
+            ],
+        ),
+    }
+}
+
+fn rates(recorder: &Recorder) -> Figure {
+    let axis = |(k, title): (usize, &str)| {
+        let label = |text| if k == 0 { text } else { "" };
+        let lines = vec![
+            line(recorder, Channel::RateFiltered(k), label("filtered"), MEASURED),
+            line(recorder, Channel::RateTruth(k), label("truth"), TRUTH_ON_MEASURED),
+        ];
+        Panel { least_span: 1.0, ..panel(title, "°/s", 100.0, lines) }
+    };
+    let panels = [(0, "Roll rate"), (1, "Pitch rate"), (2, "Yaw rate")].map(axis);
+    Figure {
+        title: "Body rates",
+        caption: "The true body rates, and what the rate controller is given: gyroscope counts after \
+                  calibration, prefilter and gyro zero."
+            .into(),
+        chart: chart("Body rates over time: truth and filtered", panels.into()),
+    }
+}
+
+fn motors(scene: &Scene, recorder: &Recorder) -> Figure {
+    // The ESC's map: the true speed is drawn as the pulse that would hold it.
+    let esc = scene.config.params.esc;
+    let (stop_us, full_us) = (f64::from(esc.stop_us), f64::from(esc.full_us));
+    let us_per_rad_s = (full_us - stop_us) / scene.vehicle.max_rad_s;
+    let rotor = |(k, title): (usize, &str)| {
+        let label = |text| if k == 0 { text } else { "" };
+        let mut speed =
+            line(recorder, Channel::Rotor(k), label("rotor speed"), Stroke::solid(colour::BLACK, 1.3));
+        for (_, value) in &mut speed.points {
+            *value = stop_us + us_per_rad_s * *value;
+        }
+        let pulse = line(recorder, Channel::Pulse(k), label("ESC pulse"), Stroke::solid(colour::ORANGE, 1.0));
+        let right = RightAxis { unit: "rad/s", zero: -stop_us / us_per_rad_s, per_unit: 1.0 / us_per_rad_s };
+        Panel {
+            covers: vec![stop_us, full_us],
+            right: Some(right),
+            ..panel(title, "µs", 84.0, vec![pulse, speed])
+        }
+    };
+    let names = ["Rotor 1, front left", "Rotor 2, front right", "Rotor 3, rear right", "Rotor 4, rear left"];
+    let panels = names.into_iter().enumerate().map(rotor).collect();
+    Figure {
+        title: "Motors",
+        caption: "The pulse that the flight code sends to each ESC (left axis), and the true speed of the \
+                  rotor (right axis)."
+            .into(),
+        chart: chart("ESC pulse and speed of the four rotors over time", panels),
+    }
+}
+
+fn place(recorder: &Recorder) -> Figure {
+    let height = vec![
+        line(recorder, Channel::Height, "truth", TRUTH),
+        line(recorder, Channel::HeightTarget, "pilot's target", TARGET),
+    ];
+    let place = vec![
+        line(recorder, Channel::North, "north", Stroke::solid(colour::BLUE, 1.6)),
+        line(recorder, Channel::East, "east", Stroke::solid(colour::ORANGE, 1.6)),
+    ];
+    Figure {
+        title: "Height and place",
+        caption: "Where the vehicle is, and where the pilot wants it. The pilot sees it a fifth of a second \
+                  late."
+            .into(),
+        chart: chart(
+            "Height, and distance north and east of the pilot's target, over time",
+            vec![
+                panel("Height above the start", "m", 150.0, height),
+                Panel { covers: vec![0.0], least_span: 0.1, ..panel("From the target", "m", 110.0, place) },
+            ],
+        ),
+    }
+}
