@@ -14,6 +14,7 @@ pub mod input_error;
 pub mod log;
 pub mod output_file;
 pub mod pilot;
+pub mod plan;
 pub mod random;
 pub mod report;
 pub mod scene;

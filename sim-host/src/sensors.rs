@@ -38,6 +38,11 @@ impl Sensor {
         Self { effects, converter }
     }
 
+    /// The effects, to be looked at by themselves.
+    pub fn effects_mut(&mut self) -> &mut [(&'static str, BoxedSensorEffect)] {
+        &mut self.effects
+    }
+
     /// The reading of a true value, before the converter.
     #[inline(always)]
     pub fn measure(&mut self, truth: Vec3<f64>, at: &Moment) -> Vec3<f64> {

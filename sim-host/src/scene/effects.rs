@@ -23,6 +23,14 @@ macro_rules! effect_table {
                 vec![$((concat!($prefix, ".", stringify!($key)), self.$key.is_some())),+]
             }
 
+            /// Leaves an effect out; whether it was named.
+            pub fn leave_out(&mut self, name: &str) -> bool {
+                $(if name == concat!($prefix, ".", stringify!($key)) {
+                    return self.$key.take().is_some();
+                })+
+                false
+            }
+
             pub fn validate(&self) -> Result<(), InputError> {
                 $(if let Some(recipe) = &self.$key {
                     recipe.validate(concat!("effects.", $prefix, ".", stringify!($key)))?;
@@ -92,6 +100,14 @@ impl Effects {
     /// Every effect there is, and whether the scene names it, in the order of application.
     pub fn named(&self) -> Vec<(&'static str, bool)> {
         [self.vehicle.named(), self.gyro.named(), self.accel.named(), self.mag.named()].concat()
+    }
+
+    /// Leaves an effect out; whether it was named.
+    pub fn leave_out(&mut self, name: &str) -> bool {
+        self.vehicle.leave_out(name)
+            || self.gyro.leave_out(name)
+            || self.accel.leave_out(name)
+            || self.mag.leave_out(name)
     }
 
     pub fn validate(&self) -> Result<(), InputError> {

@@ -218,6 +218,12 @@ impl Scene {
         self.effects.named().into_iter().filter_map(|(name, named)| named.then_some(name)).collect()
     }
 
+    /// The same scene without one of its effects; `None` if it does not name it.
+    pub fn without(&self, effect: &str) -> Option<Self> {
+        let mut scene = self.clone();
+        scene.effects.leave_out(effect).then_some(scene)
+    }
+
     /// The effects that there are and the scene does not name.
     pub fn left_out(&self) -> Vec<&'static str> {
         self.effects.named().into_iter().filter_map(|(name, named)| (!named).then_some(name)).collect()
