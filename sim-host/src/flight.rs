@@ -12,7 +12,7 @@
 mod log;
 
 use flight_core::geometry::{Quaternion, Vec3, vec3};
-use flight_core::sample::{Health, ImuSample, Input, MagSample, RcFrame};
+use flight_core::sample::{Battery, Health, ImuSample, Input, MagSample, RcFrame};
 use flight_core::{ArmState, FlightController, MotorPermit, Output};
 use xxhash_rust::xxh3::Xxh3;
 
@@ -263,7 +263,8 @@ impl Flight {
         } else {
             None
         };
-        Input { time_us: self.time_us, imu: Some(imu), mag, rc, battery: None, health: Health::default() }
+        let battery = self.vehicle.battery_v().map(|voltage_v| Battery { voltage_v: voltage_v as f32 });
+        Input { time_us: self.time_us, imu: Some(imu), mag, rc, battery, health: Health::default() }
     }
 
     fn rc_frame(&mut self) -> Option<RcFrame> {

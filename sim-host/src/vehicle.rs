@@ -5,11 +5,14 @@
 //! Euler's equations with a quaternion, and the thrust points where the rotation matrix says:
 //!
 //! ```text
-//!  m a = R (0, 0, −U1) + m g − A v + ground         a: north, east, down
-//!  I ω̇ = (l U2, l U3, U4) − ω × I ω + (q, −p, 0) J_r Ω_r + ground
+//!  m a = R (0, 0, −U1) + m g + ground + effects     a: north, east, down
+//!  I ω̇ = (l U2, l U3, U4) − ω × I ω + ground + effects
 //!  q̇   = ½ q ⊗ (0, ω)
-//!  Ω̇   = (Ω_wanted − Ω)/τ
+//!  Ω̇   = (Ω_wanted − Ω)/τ, or Ω = Ω_wanted
 //! ```
+//!
+//! Drag, the rotors' momentum and lag, and all else that is not in these lines is an effect that a scene
+//! names: see [`crate::effects::vehicle`]. The ground is there wherever the vehicle is free.
 //!
 //! A step is a classical Runge-Kutta step of 4th order in position, velocity, attitude and rate. The rotors'
 //! lag does not depend on them, so the rotor speeds inside a step are known exactly, however short τ is.
@@ -149,6 +152,10 @@ pub struct Vehicle {
     wind: Vec3<f64>,
     /// Slope at the present state, for the sensors and the next step.
     slope: Slope,
+    /// Whether the loads jump with a command: see [`BodyEffect::follows_command_at_once`].
+    jumps: bool,
+    /// Whether something has changed since `slope` that the next step starts with.
+    stale: bool,
     /// l sin(π/4): lever of a rotor in roll and pitch, m.
     lever_m: f64,
     /// d/b: reaction torque of a rotor to its thrust, m.
@@ -194,6 +201,8 @@ impl Vehicle {
                 attitude: Quaternion::new(0.0, 0.0, 0.0, 0.0),
                 angular_acceleration: Vec3::ZERO,
             },
+            jumps: false,
+            stale: false,
             lever_m: params.arm_m * std::f64::consts::FRAC_1_SQRT_2,
             torque_per_thrust: params.torque_coefficient / params.thrust_coefficient,
             per_mass: 1.0 / params.mass_kg,
@@ -212,6 +221,7 @@ impl Vehicle {
                 VehicleEffect::Body(effect) => vehicle.bodies.push(effect),
             }
         }
+        vehicle.jumps = vehicle.bodies.iter().any(|effect| effect.follows_command_at_once());
         vehicle.slope = vehicle.slope_now();
         vehicle
     }
@@ -267,6 +277,12 @@ impl Vehicle {
         self.mount == Mount::BallJoint
     }
 
+    /// Terminal voltage of the battery, V, if the scene has one.
+    #[inline(always)]
+    pub fn battery_v(&self) -> Option<f64> {
+        self.commands.iter().find_map(|effect| effect.battery_v())
+    }
+
     /// The truth now, for sensors and effects.
     #[inline(always)]
     pub fn moment(&self) -> Moment<'_> {
@@ -293,6 +309,7 @@ impl Vehicle {
             self.rotors = wanted;
             self.slope = self.slope_now();
         }
+        self.stale |= self.jumps;
     }
 
     /// Moves on by one step.
@@ -300,6 +317,10 @@ impl Vehicle {
     pub fn advance(&mut self) {
         if !self.winds.is_empty() {
             self.blow();
+        }
+        if self.stale {
+            self.stale = false;
+            self.slope = self.slope_now();
         }
         let h = self.step_s;
         let middle = self.rotors_at(Point::Middle);
@@ -333,8 +354,8 @@ impl Vehicle {
         let at = self.moment();
         let wind = effects.iter_mut().fold(Vec3::ZERO, |sum, effect| sum + effect.velocity(&at));
         self.winds = effects;
+        self.stale |= wind != self.wind;
         self.wind = wind;
-        self.slope = self.slope_now();
     }
 
     #[inline(always)]

@@ -3,7 +3,10 @@
 use serde::Deserialize;
 
 use crate::effects::sensor::{AccelWhiteNoise, GyroWhiteNoise, HardIron, MagWhiteNoise};
-use crate::effects::vehicle::{LinearDrag, MotorLag, RotorGyroscopic, VehicleEffect};
+use crate::effects::vehicle::{
+    BatterySag, CgOffset, ConstantWind, Dryden, EscDelay, EscQuantization, GroundEffect, LinearDrag,
+    MotorFailure, MotorLag, QuadraticDrag, RotorAcceleration, RotorDrag, RotorGyroscopic, VehicleEffect,
+};
 use crate::effects::{BoxedSensorEffect, Build, Recipe};
 use crate::input_error::InputError;
 
@@ -56,6 +59,8 @@ macro_rules! effect_table {
 #[serde(deny_unknown_fields)]
 pub struct Effects {
     #[serde(default)]
+    pub wind: WindEffects,
+    #[serde(default)]
     pub vehicle: VehicleEffects,
     #[serde(default)]
     pub gyro: GyroEffects,
@@ -66,11 +71,28 @@ pub struct Effects {
 }
 
 effect_table! {
-    /// `[effects.vehicle]`
+    /// `[effects.wind]`
+    WindEffects, "wind", VehicleEffect {
+        constant: ConstantWind,
+        dryden: Dryden,
+    }
+}
+
+effect_table! {
+    /// `[effects.vehicle]`: command, rotor speed, thrust, body.
     VehicleEffects, "vehicle", VehicleEffect {
+        esc_delay: EscDelay,
+        esc_quantization: EscQuantization,
+        battery_sag: BatterySag,
+        motor_failure: MotorFailure,
         motor_lag: MotorLag,
+        ground_effect: GroundEffect,
         linear_drag: LinearDrag,
+        quadratic_drag: QuadraticDrag,
+        rotor_drag: RotorDrag,
         rotor_gyroscopic: RotorGyroscopic,
+        rotor_acceleration: RotorAcceleration,
+        cg_offset: CgOffset,
     }
 }
 
@@ -99,7 +121,8 @@ effect_table! {
 impl Effects {
     /// Every effect there is, and whether the scene names it, in the order of application.
     pub fn named(&self) -> Vec<(&'static str, bool)> {
-        [self.vehicle.named(), self.gyro.named(), self.accel.named(), self.mag.named()].concat()
+        [self.wind.named(), self.vehicle.named(), self.gyro.named(), self.accel.named(), self.mag.named()]
+            .concat()
     }
 
     /// Leaves an effect out; whether it was named.
@@ -111,9 +134,32 @@ impl Effects {
     }
 
     pub fn validate(&self) -> Result<(), InputError> {
+        self.wind.validate()?;
         self.vehicle.validate()?;
+        self.nothing_in_vain()?;
         self.gyro.validate()?;
         self.accel.validate()?;
         self.mag.validate()
+    }
+
+    /// Refuses what would do nothing for want of another effect.
+    fn nothing_in_vain(&self) -> Result<(), InputError> {
+        let vehicle = &self.vehicle;
+        let has_drag =
+            vehicle.linear_drag.is_some() || vehicle.quadratic_drag.is_some() || vehicle.rotor_drag.is_some();
+        let wind = self.wind.named().into_iter().find_map(|(name, named)| named.then_some(name));
+        if let Some(wind) = wind.filter(|_| !has_drag) {
+            return Err(InputError::new(
+                "a wind acts by drag alone: name vehicle.linear_drag, vehicle.quadratic_drag or vehicle.rotor_drag",
+            )
+            .field(format!("effects.{wind}")));
+        }
+        if vehicle.rotor_acceleration.is_some() && vehicle.motor_lag.is_none() {
+            return Err(InputError::new(
+                "without a lag rotors have no acceleration, their speeds jump: name vehicle.motor_lag",
+            )
+            .field("effects.vehicle.rotor_acceleration"));
+        }
+        Ok(())
     }
 }

@@ -240,7 +240,10 @@ impl Scene {
 
     /// The effects on the vehicle, for steps at this rate.
     pub fn vehicle_effects(&self, seed: u64, rate_hz: f64) -> Vec<(&'static str, VehicleEffect)> {
-        self.effects.vehicle.build(self.build_at(seed, rate_hz))
+        let with = self.build_at(seed, rate_hz);
+        let mut list = self.effects.wind.build(with);
+        list.extend(self.effects.vehicle.build(with));
+        list
     }
 
     /// The gyroscope with its errors, sampled at this rate.

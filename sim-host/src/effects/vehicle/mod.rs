@@ -6,15 +6,42 @@
 //! | [`WindEffect`] | the velocity of the air | once a step |
 //! | [`ThrustEffect`] | the thrust of each rotor | at every stage of the integration |
 //! | [`BodyEffect`] | force and torque on the body | at every stage of the integration |
+//!
+//! Contact with the ground is no effect: without it nothing could take off or land, so it is part of
+//! [`crate::vehicle::Mount::Free`], and a vehicle on a ball joint has none.
 
+mod battery_sag;
+mod cg_offset;
+mod constant_wind;
+mod dryden;
+mod esc_delay;
+mod esc_quantization;
+mod ground_effect;
 mod linear_drag;
+mod motor_failure;
 mod motor_lag;
+mod quadratic_drag;
+mod rotor_acceleration;
+mod rotor_drag;
 mod rotor_gyroscopic;
+#[cfg(test)]
+mod testing;
 
 use flight_core::geometry::{Mat3, Vec3};
 
+pub use battery_sag::BatterySag;
+pub use cg_offset::CgOffset;
+pub use constant_wind::ConstantWind;
+pub use dryden::Dryden;
+pub use esc_delay::EscDelay;
+pub use esc_quantization::EscQuantization;
+pub use ground_effect::GroundEffect;
 pub use linear_drag::LinearDrag;
+pub use motor_failure::MotorFailure;
 pub use motor_lag::{Lag, MotorLag, Point};
+pub use quadratic_drag::QuadraticDrag;
+pub use rotor_acceleration::RotorAcceleration;
+pub use rotor_drag::RotorDrag;
 pub use rotor_gyroscopic::RotorGyroscopic;
 
 use super::Moment;
@@ -48,6 +75,11 @@ pub struct Load {
 pub trait CommandEffect: Send {
     /// Changes the wanted speeds, rad/s.
     fn apply(&mut self, wanted: &mut [f64; 4], at: &Moment);
+
+    /// Terminal voltage of the battery that this effect is, V.
+    fn battery_v(&self) -> Option<f64> {
+        None
+    }
 }
 
 /// Moves the air.
@@ -66,6 +98,11 @@ pub trait ThrustEffect: Send {
 pub trait BodyEffect: Send {
     /// Adds to the load. `thrusts` are those of the rotors, N.
     fn apply(&self, load: &mut Load, thrusts: &[f64; 4], at: &Stage);
+
+    /// Whether the load jumps with the command, although rotors with a lag do not.
+    fn follows_command_at_once(&self) -> bool {
+        false
+    }
 }
 
 /// A vehicle effect of any kind, as built.
