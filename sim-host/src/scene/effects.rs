@@ -2,7 +2,13 @@
 
 use serde::Deserialize;
 
-use crate::effects::sensor::{AccelWhiteNoise, GyroWhiteNoise, HardIron, MagWhiteNoise};
+use crate::effects::sensor::{
+    AccelBiasInstability, AccelConstantBias, AccelQuantization, AccelRateRamp, AccelRateRandomWalk,
+    AccelSaturation, AccelTemperature, AccelTurnOnBias, AccelVibration, AccelWhiteNoise, Bandwidth,
+    GSensitivity, GyroBiasInstability, GyroConstantBias, GyroQuantization, GyroRateRamp, GyroRateRandomWalk,
+    GyroSaturation, GyroTemperature, GyroTurnOnBias, GyroVibration, GyroWhiteNoise, HardIron, LeverArm,
+    MagWhiteNoise, Misalignment, ScaleFactor,
+};
 use crate::effects::vehicle::{
     BatterySag, CgOffset, ConstantWind, Dryden, EscDelay, EscQuantization, GroundEffect, LinearDrag,
     MotorFailure, MotorLag, QuadraticDrag, RotorAcceleration, RotorDrag, RotorGyroscopic, VehicleEffect,
@@ -96,17 +102,55 @@ effect_table! {
     }
 }
 
+// Gyroscope and accelerometer: the order is the way of the signal through the chip.
+//
+// 1. What the element really feels: the motion where it sits (lever_arm), and the frame's vibration.
+// 2. What its mechanics and analogue part pass: bandwidth. All that is felt goes through it.
+// 3. What it takes for a rate: g_sensitivity. It is a static coupling by the true force, whose own vibration a
+//    scene gives to the gyroscope directly.
+// 4. Its gain: misalignment turns the true vector into the element's axes, scale_factor is each axis's own, and
+//    temperature changes gain and zero together. Gains come before the biases, so that a bias is what a sensor
+//    at rest shows, and a temperature that stays at its reference changes nothing.
+// 5. Its zero, which no gain multiplies: biases from the constant to the fastest, then white_noise, which
+//    is the noise that a datasheet gives for the output.
+// 6. Its number: saturation of the amplifier and then quantization, before the converter's own.
 effect_table! {
     /// `[effects.gyro]`
     GyroEffects, "gyro", BoxedSensorEffect {
+        vibration: GyroVibration,
+        bandwidth: Bandwidth,
+        g_sensitivity: GSensitivity,
+        misalignment: Misalignment,
+        scale_factor: ScaleFactor,
+        temperature: GyroTemperature,
+        constant_bias: GyroConstantBias,
+        turn_on_bias: GyroTurnOnBias,
+        rate_ramp: GyroRateRamp,
+        rate_random_walk: GyroRateRandomWalk,
+        bias_instability: GyroBiasInstability,
         white_noise: GyroWhiteNoise,
+        saturation: GyroSaturation,
+        quantization: GyroQuantization,
     }
 }
 
 effect_table! {
     /// `[effects.accel]`
     AccelEffects, "accel", BoxedSensorEffect {
+        lever_arm: LeverArm,
+        vibration: AccelVibration,
+        bandwidth: Bandwidth,
+        misalignment: Misalignment,
+        scale_factor: ScaleFactor,
+        temperature: AccelTemperature,
+        constant_bias: AccelConstantBias,
+        turn_on_bias: AccelTurnOnBias,
+        rate_ramp: AccelRateRamp,
+        rate_random_walk: AccelRateRandomWalk,
+        bias_instability: AccelBiasInstability,
         white_noise: AccelWhiteNoise,
+        saturation: AccelSaturation,
+        quantization: AccelQuantization,
     }
 }
 

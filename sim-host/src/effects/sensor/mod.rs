@@ -3,12 +3,40 @@
 //! What applies to gyroscope, accelerometer and magnetometer alike is written once, in the sensor's SI unit;
 //! the tables of a scene differ in the units of their keys.
 
+mod bandwidth;
+mod bias_instability;
+mod constant_bias;
+mod g_sensitivity;
 mod hard_iron;
+mod lever_arm;
+mod misalignment;
+mod quantization;
+mod rate_ramp;
+mod rate_random_walk;
+mod saturation;
+mod scale_factor;
+mod temperature;
 #[cfg(test)]
 pub(crate) mod testing;
+mod turn_on_bias;
+mod vibration;
 mod white_noise;
 
+pub use bandwidth::Bandwidth;
+pub use bias_instability::{AccelBiasInstability, GyroBiasInstability};
+pub use constant_bias::{AccelConstantBias, GyroConstantBias};
+pub use g_sensitivity::GSensitivity;
 pub use hard_iron::HardIron;
+pub use lever_arm::LeverArm;
+pub use misalignment::Misalignment;
+pub use quantization::{AccelQuantization, GyroQuantization};
+pub use rate_ramp::{AccelRateRamp, GyroRateRamp};
+pub use rate_random_walk::{AccelRateRandomWalk, GyroRateRandomWalk};
+pub use saturation::{AccelSaturation, GyroSaturation};
+pub use scale_factor::ScaleFactor;
+pub use temperature::{AccelTemperature, GyroTemperature};
+pub use turn_on_bias::{AccelTurnOnBias, GyroTurnOnBias};
+pub use vibration::{AccelVibration, GyroVibration};
 pub use white_noise::{AccelWhiteNoise, GyroWhiteNoise, MagWhiteNoise, WhiteNoise};
 
 /// rad in a degree.
