@@ -6,6 +6,7 @@
 #![warn(missing_docs)]
 
 pub mod attitude_error;
+pub mod earth_field;
 pub mod effects;
 pub mod estimate;
 pub mod flight;

@@ -1,8 +1,12 @@
 //! `[effects.…]`: every effect that a scene can name, in the order in which it applies.
 
+use flight_core::sample::{ImuSample, MagSample, RcFrame};
 use serde::Deserialize;
 
-use crate::effects::sensor::{AccelWhiteNoise, GyroWhiteNoise, HardIron, MagWhiteNoise};
+use crate::effects::delivery::{BoxedDelivery, ImuEffect, Latency, Loss, MagEffect, Outage, SamplingJitter};
+use crate::effects::sensor::{
+    AccelWhiteNoise, Disturbance, GyroWhiteNoise, HardIron, MagWhiteNoise, MotorCurrent, SoftIron,
+};
 use crate::effects::vehicle::{LinearDrag, MotorLag, RotorGyroscopic, VehicleEffect};
 use crate::effects::{BoxedSensorEffect, Build, Recipe};
 use crate::input_error::InputError;
@@ -35,7 +39,7 @@ macro_rules! effect_table {
                 let mut list = Vec::new();
                 $(if let Some(recipe) = &self.$key {
                     let name = concat!($prefix, ".", stringify!($key));
-                    list.push((name, recipe.build(&Build { name, ..with })));
+                    list.push((name, recipe.build(&Build { name, ..with }).into()));
                 })+
                 list
             }
@@ -55,6 +59,10 @@ pub struct Effects {
     pub accel: AccelEffects,
     #[serde(default)]
     pub mag: MagEffects,
+    #[serde(default)]
+    pub imu: ImuEffects,
+    #[serde(default)]
+    pub link: LinkEffects,
 }
 
 effect_table! {
@@ -81,23 +89,56 @@ effect_table! {
 }
 
 effect_table! {
-    /// `[effects.mag]`
-    MagEffects, "mag", BoxedSensorEffect {
+    /// `[effects.mag]`: the ambient field, what the vehicle makes of it and adds to it, the sensor.
+    MagEffects, "mag", MagEffect {
+        disturbance: Disturbance,
+        soft_iron: SoftIron,
+        motor_current: MotorCurrent,
         hard_iron: HardIron,
         white_noise: MagWhiteNoise,
+        latency: Latency<MagSample>,
+        dropped_samples: Loss<MagSample>,
+    }
+}
+
+effect_table! {
+    /// `[effects.imu]`: the samples of gyroscope and accelerometer. Faults come before the latency.
+    ImuEffects, "imu", ImuEffect {
+        sampling_jitter: SamplingJitter,
+        latency: Latency<ImuSample>,
+        dropped_samples: Loss<ImuSample>,
+    }
+}
+
+effect_table! {
+    /// `[effects.link]`: the frames from the transmitter.
+    LinkEffects, "link", BoxedDelivery<RcFrame> {
+        latency: Latency<RcFrame>,
+        loss: Loss<RcFrame>,
+        outage: Outage,
     }
 }
 
 impl Effects {
     /// Every effect there is, and whether the scene names it, in the order of application.
     pub fn named(&self) -> Vec<(&'static str, bool)> {
-        [self.vehicle.named(), self.gyro.named(), self.accel.named(), self.mag.named()].concat()
+        [
+            self.link.named(),
+            self.vehicle.named(),
+            self.gyro.named(),
+            self.accel.named(),
+            self.mag.named(),
+            self.imu.named(),
+        ]
+        .concat()
     }
 
     pub fn validate(&self) -> Result<(), InputError> {
         self.vehicle.validate()?;
         self.gyro.validate()?;
         self.accel.validate()?;
-        self.mag.validate()
+        self.mag.validate()?;
+        self.imu.validate()?;
+        self.link.validate()
     }
 }
