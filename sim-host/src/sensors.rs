@@ -117,7 +117,12 @@ impl Sensors {
 
 #[inline(always)]
 fn deliver<T>(effects: &mut [BoxedDelivery<T>], sample: T) -> Option<T> {
-    effects.iter_mut().fold(Some(sample), |sample, effect| effect.step(sample))
+    let mut sample = Some(sample);
+    // To the end even when nothing is left: every effect counts its steps.
+    for effect in effects {
+        sample = effect.step(sample);
+    }
+    sample
 }
 
 #[cfg(test)]

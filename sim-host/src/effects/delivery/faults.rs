@@ -11,7 +11,9 @@ pub struct Dead(pub Window);
 
 impl<T> Delivery<T> for Dead {
     fn step(&mut self, sample: Option<T>) -> Option<T> {
-        sample.filter(|_| !self.0.next_is_inside())
+        // Asked at every step, whether or not it brings something: that is what counts the steps.
+        let inside = self.0.next_is_inside();
+        sample.filter(|_| !inside)
     }
 }
 
@@ -129,6 +131,14 @@ mod tests {
     #[test]
     fn a_dead_sensor_delivers_nothing() {
         assert_eq!(changed(Dead(window())), [5, 6, 7, 8, 9].map(|k| (k, None)));
+    }
+
+    #[test]
+    fn time_passes_where_nothing_comes() {
+        // Something every second step, from 0 on; dead from step 5 to 9.
+        let mut dead = Dead(window());
+        let came = (0..20).filter(|k| dead.step((k % 2 == 0).then_some(*k)).is_some());
+        assert_eq!(came.collect::<Vec<_>>(), [0, 2, 4, 10, 12, 14, 16, 18]);
     }
 
     #[test]
