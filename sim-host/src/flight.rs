@@ -12,15 +12,16 @@
 mod log;
 
 use flight_core::geometry::{Quaternion, Vec3, vec3};
-use flight_core::sample::{Battery, Health, ImuSample, Input, MagSample, RcFrame};
+use flight_core::sample::{Battery, Health, Input, RcFrame};
 use flight_core::{ArmState, FlightController, MotorPermit, Output};
 use xxhash_rust::xxh3::Xxh3;
 
 use crate::attitude_error::{AttitudeError, AttitudeRmse};
 use crate::effects::Moment;
+use crate::effects::delivery::BoxedDelivery;
 use crate::pilot::{FRAME_RATE_HZ, Pilot};
-use crate::scene::{DEFAULT_RATE_HZ, FIELD_ANKARA_UT, MAG_RATE_HZ, Scene};
-use crate::sensors::Sensor;
+use crate::scene::{DEFAULT_RATE_HZ, MAG_RATE_HZ, Scene};
+use crate::sensors::Sensors;
 use crate::vehicle::{State, Vehicle};
 
 pub use log::FlightLog;
@@ -155,10 +156,9 @@ impl Outcome {
 /// A flight under way.
 pub struct Flight {
     vehicle: Vehicle,
-    gyro: Sensor,
-    accel: Sensor,
-    mag: Sensor,
+    sensors: Sensors,
     pilot: Option<Pilot>,
+    link: Vec<(&'static str, BoxedDelivery<RcFrame>)>,
     controller: FlightController,
     max_rotor_rad_s: f64,
     aerobatic: bool,
@@ -193,10 +193,9 @@ impl Flight {
             .map(|p| Pilot::new(p, scene.duration_s, scene.pilot_knowledge(), vehicle.state()));
         Self {
             vehicle,
-            gyro: scene.gyro(seed, rate_hz),
-            accel: scene.accel(seed, rate_hz),
-            mag: scene.mag(seed, f64::from(MAG_RATE_HZ)),
+            sensors: scene.sensors(seed, rate_hz, f64::from(MAG_RATE_HZ)),
             pilot,
+            link: scene.link(seed, rate_hz),
             controller: scene.controller(),
             max_rotor_rad_s: scene.vehicle.max_rad_s,
             aerobatic: scene.aerobatic,
@@ -247,24 +246,24 @@ impl Flight {
     #[inline(always)]
     fn sense(&mut self) -> Input {
         let at = self.vehicle.moment();
-        let state = at.state;
-        let imu = ImuSample {
-            gyro: self.gyro.sample(state.rates, &at),
-            accel: self.accel.sample(at.specific_force, &at),
-        };
-        let mag = (self.time_us >= self.next_mag_us).then(|| {
+        let imu = self.sensors.imu(&at);
+        let mag = if self.time_us >= self.next_mag_us {
             self.next_mag_us += MAG_US;
-            let field = state.attitude.to_matrix().transpose() * FIELD_ANKARA_UT;
-            MagSample { counts: self.mag.sample(field, &at) }
-        });
-        let rc = if self.time_us >= self.next_rc_us {
+            self.sensors.mag(&at)
+        } else {
+            None
+        };
+        let mut rc = if self.time_us >= self.next_rc_us {
             self.next_rc_us += RC_US;
             self.rc_frame()
         } else {
             None
         };
+        for (_, effect) in &mut self.link {
+            rc = effect.step(rc);
+        }
         let battery = self.vehicle.battery_v().map(|voltage_v| Battery { voltage_v: voltage_v as f32 });
-        Input { time_us: self.time_us, imu: Some(imu), mag, rc, battery, health: Health::default() }
+        Input { time_us: self.time_us, imu, mag, rc, battery, health: Health::default() }
     }
 
     fn rc_frame(&mut self) -> Option<RcFrame> {

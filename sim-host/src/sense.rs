@@ -7,15 +7,13 @@ use crate::effects::Moment;
 use crate::flight::{Flight, Observer, STEP_US, StepView};
 use crate::input_error::InputError;
 use crate::log::{LogRow, LogWriter};
-use crate::scene::{DEFAULT_RATE_HZ, FIELD_ANKARA_UT, MAG_RATE_HZ, Scene};
-use crate::sensors::Sensor;
+use crate::scene::{DEFAULT_RATE_HZ, MAG_RATE_HZ, Scene};
+use crate::sensors::Sensors;
 use crate::vehicle::Vehicle;
 
 /// The three sensors at a rate of one's own.
 struct Sampler<'a> {
-    gyro: Sensor,
-    accel: Sensor,
-    mag: Sensor,
+    sensors: Sensors,
     /// Samples of gyroscope and accelerometer to one of the magnetometer.
     mag_every: u64,
     samples: u64,
@@ -28,9 +26,7 @@ impl<'a> Sampler<'a> {
         let mag_every = u64::from(rate_hz / MAG_RATE_HZ).max(1);
         let rate_hz = f64::from(rate_hz);
         Self {
-            gyro: scene.gyro(seed, rate_hz),
-            accel: scene.accel(seed, rate_hz),
-            mag: scene.mag(seed, rate_hz / mag_every as f64),
+            sensors: scene.sensors(seed, rate_hz, rate_hz / mag_every as f64),
             mag_every,
             samples: 0,
             out,
@@ -41,25 +37,23 @@ impl<'a> Sampler<'a> {
     /// Takes one sample of the truth.
     #[inline(always)]
     fn sample(&mut self, at: &Moment, moving: bool) {
-        let truth = at.state;
-        let gyro = self.gyro.sample(truth.rates, at);
-        let accel = self.accel.sample(at.specific_force, at);
-        let mag = self
-            .samples
-            .is_multiple_of(self.mag_every)
-            .then(|| self.mag.sample(truth.attitude.to_matrix().transpose() * FIELD_ANKARA_UT, at));
+        let imu = self.sensors.imu(at);
+        let mag = if self.samples.is_multiple_of(self.mag_every) { self.sensors.mag(at) } else { None };
         self.samples += 1;
         let Some(out) = &mut self.out else {
             // The throughput figure must not be that of a loop that was optimised away.
-            std::hint::black_box((gyro, accel, mag));
+            std::hint::black_box((imu, mag));
             return;
         };
+        // Without an inertial sample there is no row: that is what a lost one looks like in a log.
+        let Some(imu) = imu else { return };
+        let Sensors { gyro, accel, mag: magnetometer, .. } = &self.sensors;
         let row = LogRow {
             time_s: at.time_s,
-            gyro_rad_s: self.gyro.nominal(gyro).into(),
-            accel_m_s2: self.accel.nominal(accel).into(),
-            mag_ut: mag.map(|counts| self.mag.nominal(counts).into()),
-            reference: Some(truth.attitude.to_array()),
+            gyro_rad_s: gyro.nominal(imu.gyro).into(),
+            accel_m_s2: accel.nominal(imu.accel).into(),
+            mag_ut: mag.map(|sample| magnetometer.nominal(sample.counts).into()),
+            reference: Some(at.state.attitude.to_array()),
             moving,
         };
         if self.failed.is_none() {

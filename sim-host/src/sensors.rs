@@ -5,7 +5,9 @@
 //! ```
 
 use flight_core::geometry::{Vec3, vec3};
+use flight_core::sample::{ImuSample, MagSample};
 
+use crate::effects::delivery::{BoxedDelivery, Jitter};
 use crate::effects::{BoxedSensorEffect, Moment};
 
 /// A chip's 16-bit converter.
@@ -65,6 +67,67 @@ impl Sensor {
         let [x, y, z] = counts.map(f64::from);
         vec3(x, y, z) * self.converter.per_count
     }
+}
+
+/// All sensors of a vehicle, and what befalls their samples on the way to the flight controller.
+pub struct Sensors {
+    /// rad/s.
+    pub gyro: Sensor,
+    /// m/s².
+    pub accel: Sensor,
+    /// µT.
+    pub mag: Sensor,
+    /// The Earth's field, north, east, down, µT.
+    pub field_ut: Vec3<f64>,
+    /// What moves the time at which gyroscope and accelerometer are sampled.
+    pub jitter: Option<Jitter>,
+    /// What befalls the samples of gyroscope and accelerometer.
+    pub imu_delivery: Vec<BoxedDelivery<ImuSample>>,
+    /// What befalls the samples of the magnetometer.
+    pub mag_delivery: Vec<BoxedDelivery<MagSample>>,
+}
+
+impl Sensors {
+    /// What arrives of gyroscope and accelerometer. Called once a step.
+    #[inline(always)]
+    pub fn imu(&mut self, at: &Moment) -> Option<ImuSample> {
+        let sample = if self.jitter.is_some() { self.imu_displaced(at) } else { self.imu_at(at) };
+        deliver(&mut self.imu_delivery, sample)
+    }
+
+    /// What arrives of the magnetometer. Called when it takes a sample.
+    #[inline(always)]
+    pub fn mag(&mut self, at: &Moment) -> Option<MagSample> {
+        let field = at.state.attitude.to_matrix().transpose() * self.field_ut;
+        let sample = MagSample { counts: self.mag.sample(field, at) };
+        deliver(&mut self.mag_delivery, sample)
+    }
+
+    #[inline(always)]
+    fn imu_at(&mut self, at: &Moment) -> ImuSample {
+        ImuSample {
+            gyro: self.gyro.sample(at.state.rates, at),
+            accel: self.accel.sample(at.specific_force, at),
+        }
+    }
+
+    /// The sample of another time than the one it is taken for.
+    #[inline(never)]
+    fn imu_displaced(&mut self, at: &Moment) -> ImuSample {
+        let Some(jitter) = &mut self.jitter else { return self.imu_at(at) };
+        let (state, specific_force, time_s) = jitter.displaced(at);
+        self.imu_at(&Moment { time_s, state: &state, specific_force, ..*at })
+    }
+}
+
+#[inline(always)]
+fn deliver<T>(effects: &mut [BoxedDelivery<T>], sample: T) -> Option<T> {
+    let mut sample = Some(sample);
+    // To the end even when nothing is left: every effect counts its steps.
+    for effect in effects {
+        sample = effect.step(sample);
+    }
+    sample
 }
 
 #[cfg(test)]

@@ -47,7 +47,7 @@ fn cases() -> Vec<Case> {
             "seed = 7",
             "sed = 7",
             "bad.toml:5: unknown field `sed`, expected one of `description`, `duration_s`, `seed`, `vehicle`, \
-             `imu`, `mount`, `aerobatic` (did you mean `seed`?)",
+             `imu`, `mount`, `aerobatic`, `place` (did you mean `seed`?)",
         ),
         scene(
             "an unknown effect",

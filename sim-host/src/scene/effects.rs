@@ -1,13 +1,15 @@
 //! `[effects.…]`: every effect that a scene can name, in the order in which it applies.
 
+use flight_core::sample::{ImuSample, MagSample, RcFrame};
 use serde::Deserialize;
 
+use crate::effects::delivery::{BoxedDelivery, ImuEffect, Latency, Loss, MagEffect, Outage, SamplingJitter};
 use crate::effects::sensor::{
     AccelBiasInstability, AccelConstantBias, AccelQuantization, AccelRateRamp, AccelRateRandomWalk,
     AccelSaturation, AccelTemperature, AccelTurnOnBias, AccelVibration, AccelWhiteNoise, Bandwidth,
-    GSensitivity, GyroBiasInstability, GyroConstantBias, GyroQuantization, GyroRateRamp, GyroRateRandomWalk,
-    GyroSaturation, GyroTemperature, GyroTurnOnBias, GyroVibration, GyroWhiteNoise, HardIron, LeverArm,
-    MagWhiteNoise, Misalignment, ScaleFactor,
+    Disturbance, GSensitivity, GyroBiasInstability, GyroConstantBias, GyroQuantization, GyroRateRamp,
+    GyroRateRandomWalk, GyroSaturation, GyroTemperature, GyroTurnOnBias, GyroVibration, GyroWhiteNoise,
+    HardIron, LeverArm, MagWhiteNoise, Misalignment, MotorCurrent, ScaleFactor, SoftIron,
 };
 use crate::effects::vehicle::{
     BatterySag, CgOffset, ConstantWind, Dryden, EscDelay, EscQuantization, GroundEffect, LinearDrag,
@@ -52,7 +54,7 @@ macro_rules! effect_table {
                 let mut list = Vec::new();
                 $(if let Some(recipe) = &self.$key {
                     let name = concat!($prefix, ".", stringify!($key));
-                    list.push((name, recipe.build(&Build { name, ..with })));
+                    list.push((name, recipe.build(&Build { name, ..with }).into()));
                 })+
                 list
             }
@@ -74,6 +76,10 @@ pub struct Effects {
     pub accel: AccelEffects,
     #[serde(default)]
     pub mag: MagEffects,
+    #[serde(default)]
+    pub imu: ImuEffects,
+    #[serde(default)]
+    pub link: LinkEffects,
 }
 
 effect_table! {
@@ -155,26 +161,60 @@ effect_table! {
 }
 
 effect_table! {
-    /// `[effects.mag]`
-    MagEffects, "mag", BoxedSensorEffect {
+    /// `[effects.mag]`: the ambient field, what the vehicle makes of it and adds to it, the sensor.
+    MagEffects, "mag", MagEffect {
+        disturbance: Disturbance,
+        soft_iron: SoftIron,
+        motor_current: MotorCurrent,
         hard_iron: HardIron,
         white_noise: MagWhiteNoise,
+        latency: Latency<MagSample>,
+        dropped_samples: Loss<MagSample>,
+    }
+}
+
+effect_table! {
+    /// `[effects.imu]`: the samples of gyroscope and accelerometer. Faults come before the latency.
+    ImuEffects, "imu", ImuEffect {
+        sampling_jitter: SamplingJitter,
+        latency: Latency<ImuSample>,
+        dropped_samples: Loss<ImuSample>,
+    }
+}
+
+effect_table! {
+    /// `[effects.link]`: the frames from the transmitter.
+    LinkEffects, "link", BoxedDelivery<RcFrame> {
+        latency: Latency<RcFrame>,
+        loss: Loss<RcFrame>,
+        outage: Outage,
     }
 }
 
 impl Effects {
     /// Every effect there is, and whether the scene names it, in the order of application.
     pub fn named(&self) -> Vec<(&'static str, bool)> {
-        [self.wind.named(), self.vehicle.named(), self.gyro.named(), self.accel.named(), self.mag.named()]
-            .concat()
+        [
+            self.link.named(),
+            self.wind.named(),
+            self.vehicle.named(),
+            self.gyro.named(),
+            self.accel.named(),
+            self.mag.named(),
+            self.imu.named(),
+        ]
+        .concat()
     }
 
     /// Leaves an effect out; whether it was named.
     pub fn leave_out(&mut self, name: &str) -> bool {
-        self.vehicle.leave_out(name)
+        self.link.leave_out(name)
+            || self.wind.leave_out(name)
+            || self.vehicle.leave_out(name)
             || self.gyro.leave_out(name)
             || self.accel.leave_out(name)
             || self.mag.leave_out(name)
+            || self.imu.leave_out(name)
     }
 
     pub fn validate(&self) -> Result<(), InputError> {
@@ -183,7 +223,9 @@ impl Effects {
         self.nothing_in_vain()?;
         self.gyro.validate()?;
         self.accel.validate()?;
-        self.mag.validate()
+        self.mag.validate()?;
+        self.imu.validate()?;
+        self.link.validate()
     }
 
     /// Refuses what would do nothing for want of another effect.

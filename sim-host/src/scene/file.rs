@@ -5,6 +5,8 @@ use serde::Deserialize;
 
 use super::check::{unknown, within};
 use super::effects::Effects;
+use super::faults::Fault;
+use crate::earth_field::Place;
 use crate::input_error::InputError;
 use crate::pilot::{Base, Move, PilotScript, Plan};
 use crate::vehicle::VehicleParams;
@@ -21,6 +23,8 @@ pub(super) struct SceneFile {
     pub pilot: Option<Pilot>,
     #[serde(default)]
     pub effects: Effects,
+    #[serde(default, rename = "fault")]
+    pub faults: Vec<Fault>,
 }
 
 /// `[scene]`
@@ -39,6 +43,26 @@ pub(super) struct SceneTable {
     pub mount: MountName,
     #[serde(default)]
     pub aerobatic: bool,
+    /// Absent: Ankara.
+    pub place: Option<PlaceTable>,
+}
+
+/// `[scene.place]`: where the Earth's magnetic field is that of.
+#[derive(Clone, Copy, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct PlaceTable {
+    latitude_deg: f64,
+    longitude_deg: f64,
+    #[serde(default)]
+    altitude_m: f64,
+    year: Option<f64>,
+}
+
+impl PlaceTable {
+    pub fn build(self) -> Place {
+        let Self { latitude_deg, longitude_deg, altitude_m, year } = self;
+        Place { latitude_deg, longitude_deg, altitude_m, year: year.unwrap_or(Place::ANKARA.year) }
+    }
 }
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
@@ -132,13 +156,44 @@ pub(super) struct Flight {
     pub prefilter_hz: Option<f64>,
     /// Added to the magnetic heading, positive east.
     #[serde(default)]
-    pub declination_deg: f64,
+    pub declination_deg: Declination,
     pub calibration: Option<CalibrationTable>,
 }
 
 impl Default for Flight {
     fn default() -> Self {
-        Self { estimator: "flight".into(), prefilter_hz: Some(30.0), declination_deg: 0.0, calibration: None }
+        Self {
+            estimator: "flight".into(),
+            prefilter_hz: Some(30.0),
+            declination_deg: Declination::default(),
+            calibration: None,
+        }
+    }
+}
+
+/// `declination_deg = 6.175`, or `"model"` for that of the scene's place.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(try_from = "toml::Value")]
+pub(super) enum Declination {
+    Given(f64),
+    Model,
+}
+
+impl Default for Declination {
+    fn default() -> Self {
+        Self::Given(0.0)
+    }
+}
+
+impl TryFrom<toml::Value> for Declination {
+    type Error = &'static str;
+    fn try_from(value: toml::Value) -> Result<Self, Self::Error> {
+        match value {
+            toml::Value::Float(degrees) => Ok(Self::Given(degrees)),
+            toml::Value::Integer(degrees) => Ok(Self::Given(degrees as f64)),
+            toml::Value::String(name) if name == "model" => Ok(Self::Model),
+            _ => Err("flight.declination_deg: must be a number of degrees or \"model\""),
+        }
     }
 }
 

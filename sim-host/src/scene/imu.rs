@@ -21,7 +21,7 @@ macro_rules! presets {
 }
 
 /// The built-in presets.
-pub const PRESETS: &[(&str, &str)] = presets!["paper"];
+pub const PRESETS: &[(&str, &str)] = presets!["paper", "icm-42688-p", "mpu-6050", "bmi088", "adis16448"];
 
 /// What `scene.imu` says, if the table says it.
 pub fn name_in(scene: &DeTable<'_>) -> Option<String> {

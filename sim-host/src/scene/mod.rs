@@ -7,6 +7,7 @@
 mod built_in;
 pub(crate) mod check;
 mod effects;
+mod faults;
 mod file;
 mod imu;
 mod source;
@@ -19,12 +20,15 @@ use flight_core::config::{Config, Params};
 use flight_core::estimator::EstimatorParams;
 use flight_core::geometry::{Mat3, Vec3, vec3};
 use flight_core::mixer::Airframe;
+use flight_core::sample::RcFrame;
 
+use crate::earth_field::{Place, declination_rad};
 use crate::effects::Build;
+use crate::effects::delivery::{BoxedDelivery, ImuEffect, MagEffect};
 use crate::effects::vehicle::VehicleEffect;
 use crate::input_error::InputError;
 use crate::pilot::{Knowledge, PilotScript};
-use crate::sensors::{Converter, Sensor};
+use crate::sensors::{Converter, Sensor, Sensors};
 use crate::vehicle::{GRAVITY, Ground, Mount, VehicleParams};
 
 use imu::ImuPreset;
@@ -41,7 +45,8 @@ pub const DEFAULT_RATE_HZ: u32 = 1000;
 pub const MAG_RATE_HZ: u32 = 100;
 
 /// The Earth's field at Ankara, north, east, down, µT: WMM2025 at 39.93° N, 32.86° E, 0.9 km, in November
-/// 2026 (declination 6.175° east, inclination 58.19°, 48.18 µT).
+/// 2026 (declination 6.175° east, inclination 58.19°, 48.18 µT), from another implementation than the one
+/// that scenes use.
 pub const FIELD_ANKARA_UT: Vec3<f64> = vec3(25.248, 2.732, 40.940);
 
 /// The scenes that a scene includes, directly or through another, the nearest first.
@@ -108,7 +113,10 @@ pub struct Scene {
     controller: FlightController,
     /// The sensors' converters: gyro (rad/s), accel (m/s²), mag (µT).
     pub converters: [Converter; 3],
+    /// The Earth's field at the scene's place and date, north, east, down, µT.
+    pub field_ut: Vec3<f64>,
     effects: effects::Effects,
+    faults: Vec<faults::Fault>,
 }
 
 impl Scene {
@@ -164,12 +172,14 @@ impl Scene {
     }
 
     fn build(name: &str, file: file::SceneFile, preset: &ImuPreset) -> Result<Self, InputError> {
-        let file::SceneFile { scene, flight, pilot, effects, .. } = file;
+        let file::SceneFile { scene, flight, pilot, effects, faults, .. } = file;
         let vehicle = scene.vehicle.build()?;
         effects.validate()?;
+        faults.iter().try_for_each(faults::Fault::validate)?;
+        let field_ut = scene.place.map_or(Place::ANKARA, file::PlaceTable::build).field_ut()?;
         let ball_joint = scene.mount == file::MountName::BallJoint;
         let pilot = pilot.map(|p| p.build(ball_joint)).transpose()?;
-        let config = flight.build(&vehicle, preset)?;
+        let config = flight.build(&vehicle, preset, field_ut)?;
         let controller =
             FlightController::new(&config).map_err(|e| InputError::new(e.to_string()).field("flight"))?;
         let mut built = Self {
@@ -184,7 +194,9 @@ impl Scene {
             config,
             controller,
             converters: preset.converters(),
+            field_ut,
             effects,
+            faults,
         };
         built.set_duration(scene.duration_s)?;
         Ok(built)
@@ -215,7 +227,7 @@ impl Scene {
 
     /// The names of the effects that the scene calls for, in the order in which they apply.
     pub fn effects(&self) -> Vec<&'static str> {
-        self.effects.named().into_iter().filter_map(|(name, named)| named.then_some(name)).collect()
+        self.named().filter_map(|(name, named)| named.then_some(name)).collect()
     }
 
     /// The same scene without one of its effects; `None` if it does not name it.
@@ -226,7 +238,11 @@ impl Scene {
 
     /// The effects that there are and the scene does not name.
     pub fn left_out(&self) -> Vec<&'static str> {
-        self.effects.named().into_iter().filter_map(|(name, named)| (!named).then_some(name)).collect()
+        self.named().filter_map(|(name, named)| (!named).then_some(name)).collect()
+    }
+
+    fn named(&self) -> impl Iterator<Item = (&'static str, bool)> {
+        self.effects.named().into_iter().chain(faults::named(&self.faults))
     }
 
     /// How the vehicle is held.
@@ -258,7 +274,43 @@ impl Scene {
 
     /// The magnetometer with its errors, sampled at this rate.
     pub fn mag(&self, seed: u64, rate_hz: f64) -> Sensor {
-        Sensor::new(self.effects.mag.build(self.build_at(seed, rate_hz)), self.converters[2])
+        let readings = self.effects.mag.build(self.build_at(seed, rate_hz)).into_iter();
+        let readings = readings.filter_map(|(name, effect)| match effect {
+            MagEffect::Reading(effect) => Some((name, effect)),
+            MagEffect::Delivery(_) => None,
+        });
+        Sensor::new(readings.collect(), self.converters[2])
+    }
+
+    /// All sensors with their errors and what befalls their samples, gyroscope and accelerometer sampled at
+    /// `rate_hz`, the magnetometer at `mag_rate_hz`.
+    pub fn sensors(&self, seed: u64, rate_hz: f64, mag_rate_hz: f64) -> Sensors {
+        let mut sensors = Sensors {
+            gyro: self.gyro(seed, rate_hz),
+            accel: self.accel(seed, rate_hz),
+            mag: self.mag(seed, mag_rate_hz),
+            field_ut: self.field_ut,
+            jitter: None,
+            imu_delivery: faults::on_imu(&self.faults, rate_hz),
+            mag_delivery: faults::on_mag(&self.faults, mag_rate_hz),
+        };
+        for (_, effect) in self.effects.imu.build(self.build_at(seed, rate_hz)) {
+            match effect {
+                ImuEffect::Sampling(jitter) => sensors.jitter = Some(jitter),
+                ImuEffect::Delivery(effect) => sensors.imu_delivery.push(effect),
+            }
+        }
+        for (_, effect) in self.effects.mag.build(self.build_at(seed, mag_rate_hz)) {
+            if let MagEffect::Delivery(effect) = effect {
+                sensors.mag_delivery.push(effect);
+            }
+        }
+        sensors
+    }
+
+    /// What befalls the transmitter's frames, at this many steps a second.
+    pub fn link(&self, seed: u64, rate_hz: f64) -> Vec<(&'static str, BoxedDelivery<RcFrame>)> {
+        self.effects.link.build(self.build_at(seed, rate_hz))
     }
 
     /// The flight controller, disarmed, at the start of its flight.
@@ -291,7 +343,12 @@ fn airframe(vehicle: &VehicleParams) -> Airframe {
 }
 
 impl file::Flight {
-    fn build(&self, vehicle: &VehicleParams, preset: &ImuPreset) -> Result<Config, InputError> {
+    fn build(
+        &self,
+        vehicle: &VehicleParams,
+        preset: &ImuPreset,
+        field_ut: Vec3<f64>,
+    ) -> Result<Config, InputError> {
         let (_, estimator) =
             EstimatorParams::PRESETS.into_iter().find(|(name, _)| *name == self.estimator).ok_or_else(
                 || check::unknown("flight.estimator", &self.estimator, EstimatorParams::PRESETS.map(|p| p.0)),
@@ -301,7 +358,13 @@ impl file::Flight {
             let allowed = "Hz, half the magnetometer's rate";
             check::between("flight.prefilter_hz", cutoff_hz, 0.0, f64::from(MAG_RATE_HZ) / 2.0, allowed)?;
         }
-        check::within("flight.declination_deg", self.declination_deg, -180.0, 180.0, "deg")?;
+        let declination_rad = match self.declination_deg {
+            file::Declination::Model => declination_rad(field_ut),
+            file::Declination::Given(degrees) => {
+                check::within("flight.declination_deg", degrees, -180.0, 180.0, "deg")?;
+                degrees.to_radians()
+            }
+        };
         let along_body =
             |c: Converter| Sensitivity { per_count: c.per_count as f32, mounting: Mat3::IDENTITY };
         let [gyro, accel, mag] = preset.converters().map(along_body);
@@ -312,10 +375,7 @@ impl file::Flight {
             accel,
             mag,
             prefilter_cutoff_hz: self.prefilter_hz.map(|hz| hz as f32),
-            estimator: EstimatorParams {
-                declination_rad: self.declination_deg.to_radians() as f32,
-                ..estimator
-            },
+            estimator: EstimatorParams { declination_rad: declination_rad as f32, ..estimator },
             airframe: airframe(vehicle),
             ..Params::default()
         };

@@ -82,3 +82,54 @@ fn a_longer_flight_lands_as_long_before_its_end() {
         "scene.duration_s = 9: must be at least 13 s: take-off 5 s after the start, landing 8 s before the end"
     );
 }
+
+#[test]
+fn presets_are_what_their_datasheets_say() {
+    // One-sided densities in °/s/√Hz and µg/√Hz, or random walks in °/√h and m/s/√h.
+    let two_sided = |density: f64| density / 2.0_f64.sqrt();
+    let gyro = |density: f64| Some(two_sided(density) * 60.0);
+    let accel = |density_ug: f64| Some(two_sided(density_ug * 1e-6 * GRAVITY));
+    for (preset, lsb_per_deg_s, lsb_per_g, gyro, accel) in [
+        ("icm-42688-p", 32768.0 / 2000.0, 32768.0 / 16.0, gyro(0.0028), accel(70.0)),
+        ("mpu-6050", 32768.0 / 2000.0, 32768.0 / 16.0, gyro(0.005), accel(400.0)),
+        ("bmi088", 32768.0 / 2000.0, 32768.0 / 24.0, gyro(0.014), None),
+        ("adis16448", 1.0 / 0.04, 1.0 / 0.000_833, Some(0.66), Some(0.11 / 60.0)),
+    ] {
+        let scene = Scene::parse("preset", &BARE.replace("\"paper\"", &format!("\"{preset}\""))).unwrap();
+        let [rate, force, _] = scene.converters.map(|converter| converter.per_count);
+        // Datasheets give three or four digits.
+        assert!((rate * lsb_per_deg_s / 1_f64.to_radians() - 1.0).abs() < 2e-3, "{preset}");
+        assert!((force * lsb_per_g / GRAVITY - 1.0).abs() < 2e-3, "{preset}");
+        let (_, text) = imu::PRESETS.iter().find(|(name, _)| *name == preset).unwrap();
+        let table: toml::Table = text.parse().unwrap();
+        let figures = |sensor: &str, key: &str| {
+            let noise = table["effects"].get(sensor)?.get("white_noise")?.get(key)?.as_array()?;
+            noise.iter().map(toml::Value::as_float).collect::<Option<Vec<f64>>>()
+        };
+        for (got, wanted) in
+            [(figures("gyro", "n_deg_per_sqrt_h"), gyro), (figures("accel", "n_m_s2_per_sqrt_hz"), accel)]
+        {
+            assert_eq!(got.is_some(), wanted.is_some(), "{preset}");
+            if let (Some(got), Some(wanted)) = (got, wanted) {
+                assert!(
+                    got.iter().all(|n| (n / wanted - 1.0).abs() < 1e-4),
+                    "{preset}: {got:?}, not {wanted}"
+                );
+            }
+        }
+    }
+}
+
+#[test]
+fn the_place_decides_on_the_field_and_the_model_on_the_declination() {
+    let ankara = Scene::parse("ankara", BARE).unwrap();
+    assert!((ankara.field_ut - FIELD_ANKARA_UT).norm() < 0.05);
+    let natick = "[scene.place]\nlatitude_deg = 42.283\nlongitude_deg = -71.35\naltitude_m = 1000.0\nyear = 2028.505\n";
+    let text = format!("{BARE}{natick}[flight]\nestimator = \"flight\"\ndeclination_deg = \"model\"\n");
+    let scene = Scene::parse("natick", &text).unwrap();
+    // The documentation of MATLAB's wrldmagm has −13.6891° there and then.
+    let declination = f64::from(scene.config.params.estimator.declination_rad).to_degrees();
+    assert!((declination + 13.6891).abs() < 0.02, "{declination}");
+    let wrong = text.replace("\"model\"", "\"modell\"");
+    assert!(Scene::parse("wrong", &wrong).unwrap_err().to_string().contains("must be a number of degrees"));
+}

@@ -16,8 +16,13 @@ pub fn build_seeded(
     rate_hz: f64,
     seed: u64,
 ) -> BoxedSensorEffect {
-    recipe.validate("test").expect("a valid recipe");
-    recipe.build(&Build { name: "test", seed, rate_hz, duration_s: 3600.0, vehicle: &VehicleParams::OS4 })
+    build_with(recipe, "test", rate_hz, seed)
+}
+
+/// The same for an effect of any kind, with a name.
+pub fn build_with<R: Recipe>(recipe: &R, name: &str, rate_hz: f64, seed: u64) -> R::Effect {
+    recipe.validate(name).expect("a valid recipe");
+    recipe.build(&Build { name, seed, rate_hz, duration_s: 3600.0, vehicle: &VehicleParams::OS4 })
 }
 
 /// Level, at rest, at time zero.
