@@ -21,6 +21,33 @@ fn fly(bencher: Bencher, name: &str) {
     bencher.counter(ItemsCount::new(steps)).bench(|| Flight::new(black_box(&scene), scene.seed).run(&mut ()));
 }
 
+/// Scene `hover` with every effect of the vehicle.
+const EVERY_VEHICLE_EFFECT: &str = r#"
+include = "hover"
+[effects.wind]
+constant.velocity_m_s = [3.0, -2.0, 0.0]
+dryden.airspeed_m_s = 5.0
+[effects.vehicle]
+esc_delay.delay_s = 0.002
+esc_quantization.step_us = 4.0
+battery_sag = { cells = 3, capacity_mah = 2000.0, resistance_mohm = 30.0, efficiency = 0.7 }
+motor_failure = { rotor = 1, at_s = 0.0, limit = 1.0 }   # full speed is left: only the work is done
+motor_lag.tau_down_s = 0.08
+ground_effect.rotor_radius_m = 0.15
+quadratic_drag.cd_area_m2 = [0.01, 0.01, 0.03]
+rotor_drag.k_kg_per_rad = 1.19e-4
+rotor_acceleration = {}
+cg_offset.offset_m = [0.005, -0.003, 0.0]
+"#;
+
+/// A whole flight with every effect of the vehicle.
+#[divan::bench]
+fn fly_every_vehicle_effect(bencher: Bencher) {
+    let scene = Scene::parse("every vehicle effect", EVERY_VEHICLE_EFFECT).expect("a valid scene");
+    let steps = Flight::new(&scene, scene.seed).run(&mut ()).control_steps;
+    bencher.counter(ItemsCount::new(steps)).bench(|| Flight::new(black_box(&scene), scene.seed).run(&mut ()));
+}
+
 /// Nine axes of sensor samples on the bench.
 #[divan::bench]
 fn sense_static(bencher: Bencher) {

@@ -172,9 +172,10 @@ impl Pilot {
     pub fn target_m(&self, t_s: f64) -> Vec3<f64> {
         let Plan { take_off_at_s, height_m, .. } = self.plan;
         let climbed = ((t_s - take_off_at_s) * CLIMB_M_S).clamp(0.0, height_m);
-        // The descent goes on below the ground, so that the vehicle settles on it.
+        // The descent goes on below the ground, so that the vehicle settles on it. Down to 2 m, which is
+        // 2.8 m/s² of height error: the rotors' cushion over the ground holds up to a third more.
         let descended = self.land_at_s.map_or(0.0, |at| ((t_s - at) * DESCENT_M_S).max(0.0));
-        let height = (climbed - descended).max(-0.5);
+        let height = (climbed - descended).max(-2.0);
         Vec3 { z: self.home.z - height, ..self.home }
     }
 

@@ -3,6 +3,8 @@ use crate::effects::vehicle::{LinearDrag, MotorLag, RotorGyroscopic};
 use crate::effects::{Build, Recipe};
 use proptest::prelude::*;
 
+mod effects;
+
 const STEP_S: f64 = 1e-3;
 
 type Effects = Vec<(&'static str, VehicleEffect)>;

@@ -217,8 +217,7 @@ impl Gusts {
 
 impl WindEffect for Gusts {
     fn velocity(&mut self, at: &Moment) -> Vec3<f64> {
-        // A crash below the ground, or into no number at all, still has a height here.
-        let height_ft = (-at.state.position.z / FT_M).max(10.0).min(1000.0);
+        let height_ft = (-at.state.position.z / FT_M).clamp(10.0, 1000.0);
         // Nothing of the field changes by more than 1.2 % over 1 % of the height.
         let field = match self.field.take() {
             Some(field) if (height_ft - field.height_ft).abs() <= 0.01 * field.height_ft => field,
