@@ -56,6 +56,37 @@ fn sense_static(bencher: Bencher) {
     bencher.counter(ItemsCount::new(samples)).bench(|| sense::run(black_box(&scene), scene.seed, 1000, None));
 }
 
+/// Everything that gyroscope, accelerometer and magnetometer can do wrong, with the rotors of the scene.
+const ALL_SENSOR_EFFECTS: &str = include_str!("all_sensor_effects.toml");
+
+/// The same with every sensor effect.
+#[divan::bench]
+fn sense_with_every_effect(bencher: Bencher) {
+    let scene = Scene::parse("all_sensor_effects.toml", ALL_SENSOR_EFFECTS).expect("a valid scene");
+    let missing: Vec<_> = scene.left_out().into_iter().filter(|name| !name.starts_with("vehicle.")).collect();
+    assert!(missing.is_empty(), "add to all_sensor_effects.toml: {missing:?}");
+    let samples = sense::run(&scene, scene.seed, 1000, None).expect("nothing is written");
+    bencher.counter(ItemsCount::new(samples)).bench(|| sense::run(black_box(&scene), scene.seed, 1000, None));
+}
+
+/// Nine axes with one effect at a time of [`ALL_SENSOR_EFFECTS`]: its cost is the difference to none.
+#[divan::bench(args = names_of_sensor_effects())]
+fn sense_with_one_effect(bencher: Bencher, name: &str) {
+    let mut alone: toml::Table = ALL_SENSOR_EFFECTS.parse().expect("valid TOML");
+    let effects = alone["effects"].as_table_mut().expect("a table");
+    for (sensor, table) in effects.iter_mut() {
+        table.as_table_mut().expect("a table").retain(|effect, _| format!("{sensor}.{effect}") == name);
+    }
+    let scene = Scene::parse("alone", &alone.to_string()).expect("a valid scene");
+    let samples = sense::run(&scene, scene.seed, 1000, None).expect("nothing is written");
+    bencher.counter(ItemsCount::new(samples)).bench(|| sense::run(black_box(&scene), scene.seed, 1000, None));
+}
+
+fn names_of_sensor_effects() -> Vec<&'static str> {
+    let scene = Scene::parse("all_sensor_effects.toml", ALL_SENSOR_EFFECTS).expect("a valid scene");
+    [vec!["none"], scene.effects()].concat()
+}
+
 /// One 9-axis update.
 #[divan::bench(args = ["paper", "paper-literal", "flight"])]
 fn estimator(bencher: Bencher, name: &str) {
