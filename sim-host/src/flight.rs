@@ -21,7 +21,7 @@ use crate::effects::Moment;
 use crate::effects::delivery::BoxedDelivery;
 use crate::pilot::{FRAME_RATE_HZ, Pilot};
 use crate::scene::{DEFAULT_RATE_HZ, MAG_RATE_HZ, Scene};
-use crate::sensors::Sensors;
+use crate::sensors::{Sensors, deliver};
 use crate::vehicle::{State, Vehicle};
 
 pub use log::FlightLog;
@@ -158,7 +158,7 @@ pub struct Flight {
     vehicle: Vehicle,
     sensors: Sensors,
     pilot: Option<Pilot>,
-    link: Vec<(&'static str, BoxedDelivery<RcFrame>)>,
+    link: Vec<BoxedDelivery<RcFrame>>,
     controller: FlightController,
     max_rotor_rad_s: f64,
     aerobatic: bool,
@@ -259,8 +259,8 @@ impl Flight {
         } else {
             None
         };
-        for (_, effect) in &mut self.link {
-            rc = effect.step(rc);
+        if !self.link.is_empty() {
+            rc = deliver(&mut self.link, rc);
         }
         let battery = self.vehicle.battery_v().map(|voltage_v| Battery { voltage_v: voltage_v as f32 });
         Input { time_us: self.time_us, imu, mag, rc, battery, health: Health::default() }

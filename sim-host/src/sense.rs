@@ -42,7 +42,7 @@ impl<'a> Sampler<'a> {
         self.samples += 1;
         let Some(out) = &mut self.out else {
             // The throughput figure must not be that of a loop that was optimised away.
-            std::hint::black_box((imu, mag));
+            std::hint::black_box((&imu, &mag));
             return;
         };
         // Without an inertial sample there is no row: that is what a lost one looks like in a log.

@@ -91,8 +91,13 @@ impl Sensors {
     /// What arrives of gyroscope and accelerometer. Called once a step.
     #[inline(always)]
     pub fn imu(&mut self, at: &Moment) -> Option<ImuSample> {
-        let sample = if self.jitter.is_some() { self.imu_displaced(at) } else { self.imu_at(at) };
-        deliver(&mut self.imu_delivery, sample)
+        let mut arrived = None;
+        if self.jitter.is_none() && self.imu_delivery.is_empty() {
+            arrived = Some(self.imu_at(at));
+        } else {
+            self.imu_delivered(at, &mut arrived);
+        }
+        arrived
     }
 
     /// What arrives of the magnetometer. Called when it takes a sample.
@@ -100,7 +105,11 @@ impl Sensors {
     pub fn mag(&mut self, at: &Moment) -> Option<MagSample> {
         let field = at.state.attitude.to_matrix().transpose() * self.field_ut;
         let sample = MagSample { counts: self.mag.sample(field, at) };
-        deliver(&mut self.mag_delivery, sample)
+        if self.mag_delivery.is_empty() {
+            Some(sample)
+        } else {
+            deliver(&mut self.mag_delivery, Some(sample))
+        }
     }
 
     #[inline(always)]
@@ -111,18 +120,24 @@ impl Sensors {
         }
     }
 
-    /// The sample of another time than the one it is taken for.
+    /// Out of the way of scenes that name none of this: handing samples from effect to effect through memory
+    /// would cost them more than their noise does.
     #[inline(never)]
-    fn imu_displaced(&mut self, at: &Moment) -> ImuSample {
-        let Some(jitter) = &mut self.jitter else { return self.imu_at(at) };
-        let (state, specific_force, time_s) = jitter.displaced(at);
-        self.imu_at(&Moment { time_s, state: &state, specific_force, ..*at })
+    fn imu_delivered(&mut self, at: &Moment, arrived: &mut Option<ImuSample>) {
+        let sample = match &mut self.jitter {
+            None => self.imu_at(at),
+            Some(jitter) => {
+                let (state, specific_force, time_s) = jitter.displaced(at);
+                self.imu_at(&Moment { time_s, state: &state, specific_force, ..*at })
+            }
+        };
+        *arrived = deliver(&mut self.imu_delivery, Some(sample));
     }
 }
 
-#[inline(always)]
-fn deliver<T>(effects: &mut [BoxedDelivery<T>], sample: T) -> Option<T> {
-    let mut sample = Some(sample);
+/// What is left of a sample, or of its absence, behind these effects.
+#[inline(never)]
+pub fn deliver<T>(effects: &mut [BoxedDelivery<T>], mut sample: Option<T>) -> Option<T> {
     // To the end even when nothing is left: every effect counts its steps.
     for effect in effects {
         sample = effect.step(sample);

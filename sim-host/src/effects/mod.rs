@@ -5,7 +5,8 @@
 //! parameters as a scene writes them (units in the keys), and a test against a closed form.
 //!
 //! # Order
-//! Effects apply in the order in which `scene/effects.rs` lists them; the order follows the signal:
+//! Effects apply in the order in which `scene/effects.rs` lists them; the order follows the signal. Faults
+//! (`scene/faults.rs`) are in the chip: they come before what delays and loses its samples.
 //!
 //! ```text
 //!  stick ─► link ─► flight code ─► pulse ─► command ─► rotor speed ─► thrust ─► force and torque ─► motion

@@ -309,8 +309,9 @@ impl Scene {
     }
 
     /// What befalls the transmitter's frames, at this many steps a second.
-    pub fn link(&self, seed: u64, rate_hz: f64) -> Vec<(&'static str, BoxedDelivery<RcFrame>)> {
-        self.effects.link.build(self.build_at(seed, rate_hz))
+    pub fn link(&self, seed: u64, rate_hz: f64) -> Vec<BoxedDelivery<RcFrame>> {
+        let named = self.effects.link.build(self.build_at(seed, rate_hz));
+        named.into_iter().map(|(_, effect)| effect).collect()
     }
 
     /// The flight controller, disarmed, at the start of its flight.
