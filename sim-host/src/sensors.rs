@@ -50,7 +50,7 @@ impl Sensor {
     pub fn measure(&mut self, truth: Vec3<f64>, at: &Moment) -> Vec3<f64> {
         let mut reading = truth;
         for (_, effect) in &mut self.effects {
-            reading = effect.apply(reading, at);
+            effect.apply_to(&mut reading, at);
         }
         reading
     }

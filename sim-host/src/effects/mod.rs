@@ -83,6 +83,12 @@ pub struct Moment<'a> {
 pub trait SensorEffect: Send {
     /// Applies the error to one sample.
     fn apply(&mut self, reading: Vec3<f64>, at: &Moment) -> Vec3<f64>;
+
+    /// The same in place. A chain of effects calls this one: its dispatch then costs no copy of the reading.
+    #[inline]
+    fn apply_to(&mut self, reading: &mut Vec3<f64>, at: &Moment) {
+        *reading = self.apply(*reading, at);
+    }
 }
 
 /// A boxed [`SensorEffect`].
