@@ -42,7 +42,7 @@ impl Place {
         check::within("scene.place.longitude_deg", self.longitude_deg, -180.0, 180.0, "deg")?;
         check::within("scene.place.altitude_m", self.altitude_m, -1000.0, 850_000.0, "m")?;
         // WMM2020 to the end of 2024, WMM2025 from then to the end of 2029.
-        check::within("scene.place.year", self.year, 2020.0, 2029.999, "")?;
+        check::within("scene.place.year", self.year, 2020.0, 2029.999, "AD")?;
         let refused = |error: String| InputError::new(error).field("scene.place");
         let field = GeomagneticField::new(
             Length::new::<meter>(self.altitude_m as f32),

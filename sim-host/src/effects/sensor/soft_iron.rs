@@ -25,7 +25,7 @@ impl Recipe for SoftIron {
         check::each(key, "matrix", self.matrix.into_iter().flatten(), -10.0, 10.0, "µT/µT")?;
         // A reflection or a plane is no iron: no calibration could take it out.
         let determinant = Mat3::from_rows(self.matrix).determinant();
-        check::one(key, "matrix (its determinant)", determinant, 1e-3, 1e3, "")
+        check::one(key, "matrix", determinant, 1e-3, 1e3, "in its determinant")
     }
 
     fn build(&self, _: &Build) -> BoxedSensorEffect {
