@@ -21,29 +21,19 @@ fn fly(bencher: Bencher, name: &str) {
     bencher.counter(ItemsCount::new(steps)).bench(|| Flight::new(black_box(&scene), scene.seed).run(&mut ()));
 }
 
-/// Scene `hover` with every effect of the vehicle.
-const EVERY_VEHICLE_EFFECT: &str = r#"
-include = "hover"
-[effects.wind]
-constant.velocity_m_s = [3.0, -2.0, 0.0]
-dryden.airspeed_m_s = 5.0
-[effects.vehicle]
-esc_delay.delay_s = 0.002
-esc_quantization.step_us = 4.0
-battery_sag = { cells = 3, capacity_mah = 2000.0, resistance_mohm = 30.0, efficiency = 0.7 }
-motor_failure = { rotor = 1, at_s = 0.0, limit = 1.0 }   # full speed is left: only the work is done
-motor_lag.tau_down_s = 0.08
-ground_effect.rotor_radius_m = 0.15
-quadratic_drag.cd_area_m2 = [0.01, 0.01, 0.03]
-rotor_drag.k_kg_per_rad = 1.19e-4
-rotor_acceleration = {}
-cg_offset.offset_m = [0.005, -0.003, 0.0]
-"#;
+/// Every effect that there is, named at once.
+const EVERY_EFFECT: &str = include_str!("every_effect.toml");
 
-/// A whole flight with every effect of the vehicle.
+fn every_effect() -> Scene {
+    let scene = Scene::parse("every_effect.toml", EVERY_EFFECT).expect("a valid scene");
+    assert!(scene.left_out().is_empty(), "add to every_effect.toml: {:?}", scene.left_out());
+    scene
+}
+
+/// A whole flight with every effect.
 #[divan::bench]
-fn fly_every_vehicle_effect(bencher: Bencher) {
-    let scene = Scene::parse("every vehicle effect", EVERY_VEHICLE_EFFECT).expect("a valid scene");
+fn fly_with_every_effect(bencher: Bencher) {
+    let scene = every_effect();
     let steps = Flight::new(&scene, scene.seed).run(&mut ()).control_steps;
     bencher.counter(ItemsCount::new(steps)).bench(|| Flight::new(black_box(&scene), scene.seed).run(&mut ()));
 }
@@ -56,35 +46,19 @@ fn sense_static(bencher: Bencher) {
     bencher.counter(ItemsCount::new(samples)).bench(|| sense::run(black_box(&scene), scene.seed, 1000, None));
 }
 
-/// Everything that gyroscope, accelerometer and magnetometer can do wrong, with the rotors of the scene.
-const ALL_SENSOR_EFFECTS: &str = include_str!("all_sensor_effects.toml");
+/// [`every_effect`] on the bench: without a pilot nothing but the sensors is computed.
+fn every_sensor_effect() -> Scene {
+    let mut scene = every_effect();
+    scene.pilot = None;
+    scene
+}
 
 /// The same with every sensor effect.
 #[divan::bench]
 fn sense_with_every_effect(bencher: Bencher) {
-    let scene = Scene::parse("all_sensor_effects.toml", ALL_SENSOR_EFFECTS).expect("a valid scene");
-    let missing: Vec<_> = scene.left_out().into_iter().filter(|name| !name.starts_with("vehicle.")).collect();
-    assert!(missing.is_empty(), "add to all_sensor_effects.toml: {missing:?}");
+    let scene = every_sensor_effect();
     let samples = sense::run(&scene, scene.seed, 1000, None).expect("nothing is written");
     bencher.counter(ItemsCount::new(samples)).bench(|| sense::run(black_box(&scene), scene.seed, 1000, None));
-}
-
-/// Nine axes with one effect at a time of [`ALL_SENSOR_EFFECTS`]: its cost is the difference to none.
-#[divan::bench(args = names_of_sensor_effects())]
-fn sense_with_one_effect(bencher: Bencher, name: &str) {
-    let mut alone: toml::Table = ALL_SENSOR_EFFECTS.parse().expect("valid TOML");
-    let effects = alone["effects"].as_table_mut().expect("a table");
-    for (sensor, table) in effects.iter_mut() {
-        table.as_table_mut().expect("a table").retain(|effect, _| format!("{sensor}.{effect}") == name);
-    }
-    let scene = Scene::parse("alone", &alone.to_string()).expect("a valid scene");
-    let samples = sense::run(&scene, scene.seed, 1000, None).expect("nothing is written");
-    bencher.counter(ItemsCount::new(samples)).bench(|| sense::run(black_box(&scene), scene.seed, 1000, None));
-}
-
-fn names_of_sensor_effects() -> Vec<&'static str> {
-    let scene = Scene::parse("all_sensor_effects.toml", ALL_SENSOR_EFFECTS).expect("a valid scene");
-    [vec!["none"], scene.effects()].concat()
 }
 
 /// One 9-axis update.

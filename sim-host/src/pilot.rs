@@ -240,8 +240,8 @@ impl Pilot {
         // On the ground nothing is learnt: the legs answer, not the air.
         if view.position.z < self.home.z - 0.2 {
             let limit = |a: f64| a.clamp(-MAX_INTEGRAL_M_S2, MAX_INTEGRAL_M_S2);
-            let Vec3 { x, y, z } = self.integral
-                + error.scale_by(vec3(PLACE_I, PLACE_I, HEIGHT_I)) * (1.0 / FRAME_RATE_HZ);
+            let Vec3 { x, y, z } =
+                self.integral + error.scale_by(vec3(PLACE_I, PLACE_I, HEIGHT_I)) * (1.0 / FRAME_RATE_HZ);
             self.integral = vec3(limit(x), limit(y), limit(z));
         }
         let climb = self.target_rate_m_s(t_s) - view.velocity.z;
