@@ -10,7 +10,7 @@ use std::time::Instant;
 use flight_core::geometry::{Quaternion, Vec3, vec3};
 
 use crate::effects::Moment;
-use crate::effects::vehicle::{Load, Point, Stage, VehicleEffect};
+use crate::effects::vehicle::{BodyEffect as _, Load, Point, Stage, VehicleEffect};
 use crate::scene::{DEFAULT_RATE_HZ, MAG_RATE_HZ, Scene};
 use crate::sensors::Sensor;
 use crate::vehicle::{GRAVITY, State};
