@@ -1,5 +1,5 @@
 use super::*;
-use crate::effects::sensor::testing::at_rest;
+use crate::effects::sensor::testing::{self as sensor_testing, at_rest};
 
 #[test]
 fn every_built_in_scene_reads_and_describes_itself() {
@@ -81,4 +81,56 @@ fn a_longer_flight_lands_as_long_before_its_end() {
         error,
         "scene.duration_s = 9: must be at least 13 s: take-off 5 s after the start, landing 8 s before the end"
     );
+}
+
+/// The bare scene with those of [`ALL_SENSOR_EFFECTS`] that are asked for.
+fn with_effects(names: &[&str]) -> Scene {
+    let mut text: toml::Table = ALL_SENSOR_EFFECTS.parse().unwrap();
+    for (sensor, effects) in text["effects"].as_table_mut().unwrap() {
+        let asked_for = |effect: &str| names.contains(&format!("{sensor}.{effect}").as_str());
+        effects.as_table_mut().unwrap().retain(|effect, _| asked_for(effect));
+    }
+    Scene::parse("some", &text.to_string()).unwrap()
+}
+
+const ALL_SENSOR_EFFECTS: &str = include_str!("../../benches/all_sensor_effects.toml");
+
+/// What each effect of a scene makes of the same readings while the vehicle flies: its contribution alone.
+fn contributions(scene: &Scene) -> Vec<(&'static str, Vec<[u64; 3]>)> {
+    let with = scene.build_at(7, 1e3);
+    let effects = &scene.effects;
+    let built = [effects.gyro.build(with), effects.accel.build(with), effects.mag.build(with)];
+    let mut list = Vec::new();
+    for (name, mut effect) in built.into_iter().flatten() {
+        let made = |k: u32| {
+            let state = crate::vehicle::State { rates: vec3(0.1, -0.2, 0.3), ..sensor_testing::STATE };
+            let rotors = [200.0, 210.0, 220.0, 230.0];
+            let at = crate::effects::Moment { rotors, ..sensor_testing::moment(&state, f64::from(k) * 1e-3) };
+            <[f64; 3]>::from(effect.apply(vec3(1.0, 2.0, -3.0), &at)).map(f64::to_bits)
+        };
+        list.push((name, (0..20).map(made).collect()));
+    }
+    list
+}
+
+#[test]
+fn no_effect_moves_the_draws_of_another() {
+    let every = Scene::parse("every", ALL_SENSOR_EFFECTS).unwrap();
+    let names = every.effects();
+    let alone: Vec<_> = names.iter().map(|name| contributions(&with_effects(&[name])).remove(0)).collect();
+    assert_eq!(alone.iter().map(|(name, _)| *name).collect::<Vec<_>>(), names);
+    for (i, first) in alone.iter().enumerate() {
+        for second in &alone[i + 1..] {
+            let together = contributions(&with_effects(&[first.0, second.0]));
+            assert_eq!(together, [first.clone(), second.clone()], "{} with {}", first.0, second.0);
+        }
+    }
+    assert_eq!(contributions(&every), alone, "all together");
+}
+
+#[test]
+fn the_file_of_every_effect_has_every_effect() {
+    let every = Scene::parse("every", ALL_SENSOR_EFFECTS).unwrap();
+    let of_sensors = |name: &&str| !name.starts_with("vehicle.");
+    assert_eq!(every.left_out().into_iter().filter(of_sensors).collect::<Vec<_>>(), Vec::<&str>::new());
 }
