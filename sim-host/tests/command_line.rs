@@ -107,7 +107,8 @@ fn cases() -> Vec<Case> {
             file: "unused",
             text: String::new(),
             said: "SCENE = hovr: no such file and no built-in scene (did you mean `hover`?) (there are: hover, steps, \
-                   stand-steps, static)",
+                   stand-steps, static, bench-static, windy-landing, hot-day, weak-battery, magnetic-site, \
+                   motor-out, shaky-frame, bad-link, rough-sampling, whole-drive)",
         },
         Case {
             what: "a duration that leaves no time to land",
@@ -258,7 +259,7 @@ fn sense_counts_its_samples_and_writes_the_same_file_twice() {
 fn scenes_lists_effects() {
     let scenes = json(&["scenes", "--json"]);
     let list = scenes["scenes"].as_array().unwrap();
-    assert_eq!(list.len(), 4);
+    assert_eq!(list.len(), 14);
     assert_eq!(list[3]["name"], "static");
     assert_eq!(list[3]["effects"].as_array().unwrap().len(), 4);
 }

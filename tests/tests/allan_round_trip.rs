@@ -252,7 +252,8 @@ fn spread_over_seeds() {
         let errors: Vec<f64> =
             (1..=40).flat_map(|seed| day(seed, effect).iter().map(error).collect::<Vec<_>>()).collect();
         let mean = errors.iter().sum::<f64>() / errors.len() as f64;
-        let deviation = (errors.iter().map(|e| (e - mean).powi(2)).sum::<f64>() / errors.len() as f64).sqrt();
+        let deviation =
+            (errors.iter().map(|e| (e - mean) * (e - mean)).sum::<f64>() / errors.len() as f64).sqrt();
         let worst = errors.iter().fold(0.0, |worst: f64, e| worst.max(e.abs()));
         let [mean, deviation, worst] = [mean, deviation, worst].map(|x| x * 100.0);
         println!("{name}: mean {mean:+.1} %, deviation {deviation:.1} %, worst of 120 {worst:.1} %");
