@@ -53,7 +53,9 @@ fn cases() -> Vec<Case> {
             "an unknown effect",
             "[effects.gyro.white_noise]",
             "[effects.gyro.whitenoise]",
-            "bad.toml:28: unknown field `whitenoise`, expected `white_noise` (did you mean `white_noise`?)",
+            "bad.toml:28: unknown field `whitenoise`, expected one of `vibration`, `bandwidth`, `g_sensitivity`, `misalignment`, \
+             `scale_factor`, `temperature`, `constant_bias`, `turn_on_bias`, `rate_ramp`, `rate_random_walk`, \
+             `bias_instability`, `white_noise`, `saturation`, `quantization` (did you mean `white_noise`?)",
         ),
         scene(
             "a negative mass",
