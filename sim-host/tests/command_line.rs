@@ -42,111 +42,107 @@ fn log(what: &'static str, text: String, said: &'static str) -> Case {
 
 fn cases() -> Vec<Case> {
     vec![
-            scene(
-                "an unknown key",
-                "seed = 7",
-                "sed = 7",
-                "bad.toml:5: unknown field `sed`, expected one of `description`, `duration_s`, `seed`, `vehicle`, \
+        scene(
+            "an unknown key",
+            "seed = 7",
+            "sed = 7",
+            "bad.toml:5: unknown field `sed`, expected one of `description`, `duration_s`, `seed`, `vehicle`, \
                  `imu`, `mount`, `aerobatic`, `place` (did you mean `seed`?)",
-            ),
-            scene(
-                "an unknown effect",
-                "[effects.gyro.white_noise]",
-                "[effects.gyro.whitenoise]",
-    <<<<<<< HEAD
-                "bad.toml:28: unknown field `whitenoise`, expected one of `vibration`, `bandwidth`, `g_sensitivity`, `misalignment`, `scale_factor`, `temperature`, `constant_bias`, `turn_on_bias`, `rate_ramp`, `rate_random_walk`, `bias_instability`, `white_noise`, `saturation`, `quantization` (did you mean `white_noise`?)",
-    =======
-                "bad.toml:28: unknown field `whitenoise`, expected one of `vibration`, `bandwidth`, `g_sensitivity`, `misalignment`, \
-                 `scale_factor`, `temperature`, `constant_bias`, `turn_on_bias`, `rate_ramp`, `rate_random_walk`, \
+        ),
+        scene(
+            "an unknown effect",
+            "[effects.gyro.white_noise]",
+            "[effects.gyro.whitenoise]",
+            "bad.toml:28: unknown field `whitenoise`, expected one of `vibration`, `bandwidth`, `g_sensitivity`, \
+             `misalignment`, `scale_factor`, `temperature`, `constant_bias`, `turn_on_bias`, `rate_ramp`, `rate_random_walk`, \
                  `bias_instability`, `white_noise`, `saturation`, `quantization` (did you mean `white_noise`?)",
-    >>>>>>> eff-sensor
-            ),
-            scene(
-                "a negative mass",
-                "vehicle = \"os4\"",
-                "vehicle = { like = \"os4\", mass_kg = -0.65 }",
-                "bad.toml: scene.vehicle.mass_kg = -0.65: must be from 0.01 to 100 kg",
-            ),
-            scene(
-                "an unknown key of a vehicle",
-                "vehicle = \"os4\"",
-                "vehicle = { like = \"os4\", mass = 0.65 }",
-                "bad.toml:6: scene.vehicle: unknown field `mass`, expected one of `like`, `mass_kg`, `inertia_kg_m2`, \
+        ),
+        scene(
+            "a negative mass",
+            "vehicle = \"os4\"",
+            "vehicle = { like = \"os4\", mass_kg = -0.65 }",
+            "bad.toml: scene.vehicle.mass_kg = -0.65: must be from 0.01 to 100 kg",
+        ),
+        scene(
+            "an unknown key of a vehicle",
+            "vehicle = \"os4\"",
+            "vehicle = { like = \"os4\", mass = 0.65 }",
+            "bad.toml:6: scene.vehicle: unknown field `mass`, expected one of `like`, `mass_kg`, `inertia_kg_m2`, \
                  `rotor_inertia_kg_m2`, `arm_m`, `thrust_coefficient_n_s2`, `torque_coefficient_n_m_s2`, \
                  `max_rotor_rad_s`, `leg_m`",
-            ),
-            scene(
-                "a cutoff above Nyquist",
-                "prefilter_hz = 30.0",
-                "prefilter_hz = 50.0",
-                "bad.toml: flight.prefilter_hz = 50: must be above 0 and below 50 Hz, half the magnetometer's rate",
-            ),
-            scene(
-                "an unknown estimator",
-                "estimator = \"flight\"",
-                "estimator = \"fligth\"",
-                "bad.toml: flight.estimator = fligth: must be one of paper, paper-literal, flight (did you mean `flight`?)",
-            ),
-            scene(
-                "a number that is none",
-                "duration_s = 30.0",
-                "duration_s = nan",
-                "bad.toml: scene.duration_s = NaN: must be from 0.01 to 1000000 s",
-            ),
-            scene(
-                "a word for a number",
-                "duration_s = 30.0",
-                "duration_s = \"long\"",
-                "bad.toml:4: invalid type: string \"long\", expected f64",
-            ),
-            scene("no TOML", "[scene]", "[scene", "bad.toml:2: unclosed table, expected `]`"),
-            Case {
-                what: "an empty scene",
-                arguments: &["fly", "bad.toml"],
-                file: "bad.toml",
-                text: String::new(),
-                said: "bad.toml: is empty; a scene needs a [scene] table",
-            },
-            Case {
-                what: "a scene that is not there",
-                arguments: &["fly", "hovr"],
-                file: "unused",
-                text: String::new(),
-                said: "SCENE = hovr: no such file and no built-in scene (did you mean `hover`?) (there are: hover, steps, \
+        ),
+        scene(
+            "a cutoff above Nyquist",
+            "prefilter_hz = 30.0",
+            "prefilter_hz = 50.0",
+            "bad.toml: flight.prefilter_hz = 50: must be above 0 and below 50 Hz, half the magnetometer's rate",
+        ),
+        scene(
+            "an unknown estimator",
+            "estimator = \"flight\"",
+            "estimator = \"fligth\"",
+            "bad.toml: flight.estimator = fligth: must be one of paper, paper-literal, flight (did you mean `flight`?)",
+        ),
+        scene(
+            "a number that is none",
+            "duration_s = 30.0",
+            "duration_s = nan",
+            "bad.toml: scene.duration_s = NaN: must be from 0.01 to 1000000 s",
+        ),
+        scene(
+            "a word for a number",
+            "duration_s = 30.0",
+            "duration_s = \"long\"",
+            "bad.toml:4: invalid type: string \"long\", expected f64",
+        ),
+        scene("no TOML", "[scene]", "[scene", "bad.toml:2: unclosed table, expected `]`"),
+        Case {
+            what: "an empty scene",
+            arguments: &["fly", "bad.toml"],
+            file: "bad.toml",
+            text: String::new(),
+            said: "bad.toml: is empty; a scene needs a [scene] table",
+        },
+        Case {
+            what: "a scene that is not there",
+            arguments: &["fly", "hovr"],
+            file: "unused",
+            text: String::new(),
+            said: "SCENE = hovr: no such file and no built-in scene (did you mean `hover`?) (there are: hover, steps, \
                        stand-steps, static, bench-static, windy-landing, hot-day, weak-battery, magnetic-site, \
                        motor-out, shaky-frame, bad-link, rough-sampling, whole-drive)",
-            },
-            Case {
-                what: "a duration that leaves no time to land",
-                arguments: &["fly", "hover", "--duration", "6"],
-                file: "unused",
-                text: String::new(),
-                said: "--duration = 6: must be at least 13 s: take-off 5 s after the start, landing 8 s before the end",
-            },
-            Case {
-                what: "a rate that a flight can't be sampled at",
-                arguments: &["sense", "hover", "--rate-hz", "300"],
-                file: "unused",
-                text: String::new(),
-                said: "--rate-hz = 300: a scene that flies is sampled at 1000 Hz or a whole fraction of it",
-            },
-            log("an empty log", String::new(), "bad.csv: the file is empty: a log must begin with a header row"),
-            log(
-                "a log with a NaN",
-                LOG.replace("0.01,0,", "0.01,nan,"),
-                "bad.csv:3: gyro_x_rad_s = nan: must be a number from -1000000 to 1000000",
-            ),
-            log(
-                "a log without a column",
-                LOG.replace("accel_z_m_s2", "accel_w_m_s2"),
-                "bad.csv:1: accel_z_m_s2: the column is missing: a log must have time_s, gyro_{x,y,z}_rad_s and accel_{x,y,z}_m_s2",
-            ),
-            log(
-                "time running backwards",
-                LOG.replace("0.02,", "0.005,"),
-                "bad.csv:4: time_s = 0.005: must be at least 1 µs after the row before it (0.01 s)",
-            ),
-        ]
+        },
+        Case {
+            what: "a duration that leaves no time to land",
+            arguments: &["fly", "hover", "--duration", "6"],
+            file: "unused",
+            text: String::new(),
+            said: "--duration = 6: must be at least 13 s: take-off 5 s after the start, landing 8 s before the end",
+        },
+        Case {
+            what: "a rate that a flight can't be sampled at",
+            arguments: &["sense", "hover", "--rate-hz", "300"],
+            file: "unused",
+            text: String::new(),
+            said: "--rate-hz = 300: a scene that flies is sampled at 1000 Hz or a whole fraction of it",
+        },
+        log("an empty log", String::new(), "bad.csv: the file is empty: a log must begin with a header row"),
+        log(
+            "a log with a NaN",
+            LOG.replace("0.01,0,", "0.01,nan,"),
+            "bad.csv:3: gyro_x_rad_s = nan: must be a number from -1000000 to 1000000",
+        ),
+        log(
+            "a log without a column",
+            LOG.replace("accel_z_m_s2", "accel_w_m_s2"),
+            "bad.csv:1: accel_z_m_s2: the column is missing: a log must have time_s, gyro_{x,y,z}_rad_s and accel_{x,y,z}_m_s2",
+        ),
+        log(
+            "time running backwards",
+            LOG.replace("0.02,", "0.005,"),
+            "bad.csv:4: time_s = 0.005: must be at least 1 µs after the row before it (0.01 s)",
+        ),
+    ]
 }
 
 #[test]
