@@ -195,7 +195,7 @@ impl Flight {
             vehicle,
             sensors: scene.sensors(seed, rate_hz, f64::from(MAG_RATE_HZ)),
             pilot,
-            link: scene.link(seed, rate_hz),
+            link: scene.link(seed, rate_hz).into_iter().map(|(_, effect)| effect).collect(),
             controller: scene.controller(),
             max_rotor_rad_s: scene.vehicle.max_rad_s,
             aerobatic: scene.aerobatic,

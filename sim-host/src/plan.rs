@@ -8,8 +8,10 @@ use std::hint::black_box;
 use std::time::Instant;
 
 use flight_core::geometry::{Quaternion, Vec3, vec3};
+use flight_core::sample::{ImuSample, MagSample, RcFrame};
 
 use crate::effects::Moment;
+use crate::effects::delivery::{Delivery, ImuEffect, MagEffect};
 use crate::effects::vehicle::{BodyEffect as _, Load, Point, Stage, VehicleEffect};
 use crate::scene::{DEFAULT_RATE_HZ, MAG_RATE_HZ, Scene};
 use crate::sensors::Sensor;
@@ -66,21 +68,58 @@ fn moment(k: u32) -> Moment<'static> {
 
 /// Measures the effects of a scene, in the order in which they apply.
 pub fn measure(scene: &Scene) -> Vec<Cost> {
-    let rate_hz = f64::from(DEFAULT_RATE_HZ);
-    let mag_share = f64::from(MAG_RATE_HZ) / rate_hz;
-    let mut costs: Vec<Cost> = scene
-        .vehicle_effects(scene.seed, rate_hz)
-        .into_iter()
-        .map(|(name, effect)| Cost { name, ns_per_step: vehicle(effect) })
-        .collect();
-    for (mut sensor, share) in [
-        (scene.gyro(scene.seed, rate_hz), 1.0),
-        (scene.accel(scene.seed, rate_hz), 1.0),
-        (scene.mag(scene.seed, f64::from(MAG_RATE_HZ)), mag_share),
+    let (seed, rate_hz, mag_rate_hz) = (scene.seed, f64::from(DEFAULT_RATE_HZ), f64::from(MAG_RATE_HZ));
+    let mut costs = Vec::new();
+    let mut note = |name, ns_per_step| costs.push(Cost { name, ns_per_step });
+    for (name, mut effect) in scene.link(seed, rate_hz) {
+        let frame = RcFrame { channels: [992; 4] };
+        // A frame every twentieth step.
+        note(name, delivery(&mut *effect, |k| k.is_multiple_of(20).then_some(frame)));
+    }
+    for (name, effect) in scene.vehicle_effects(seed, rate_hz) {
+        note(name, vehicle(effect));
+    }
+    for (sensor, share) in [
+        (&mut scene.gyro(seed, rate_hz), 1.0),
+        (&mut scene.accel(seed, rate_hz), 1.0),
+        (&mut scene.mag(seed, mag_rate_hz), mag_rate_hz / rate_hz),
     ] {
-        costs.extend(readings(&mut sensor, share));
+        readings(sensor, share).for_each(|one| note(one.name, one.ns_per_step));
+    }
+    for (name, effect) in scene.mag_effects(seed, mag_rate_hz) {
+        if let MagEffect::Delivery(mut effect) = effect {
+            let ns = delivery(&mut *effect, |_| Some(MagSample { counts: [750, 80, 1230] }));
+            note(name, ns * mag_rate_hz / rate_hz);
+        }
+    }
+    for (name, effect) in scene.imu_effects(seed, rate_hz) {
+        match effect {
+            ImuEffect::Sampling(mut jitter) => note(
+                name,
+                cost(|k, with| {
+                    let at = moment(k);
+                    black_box(if with {
+                        jitter.displaced(&at)
+                    } else {
+                        (*at.state, at.specific_force, at.time_s)
+                    });
+                }),
+            ),
+            ImuEffect::Delivery(mut effect) => {
+                let sample = ImuSample { gyro: [30, -20, 10], accel: [50, -40, -2048] };
+                note(name, delivery(&mut *effect, |_| Some(sample)));
+            }
+        }
     }
     costs
+}
+
+/// What an effect on a stream takes a step, ns.
+fn delivery<T>(effect: &mut dyn Delivery<T>, stream: impl Fn(u32) -> Option<T>) -> f64 {
+    cost(|k, with| {
+        let sample = black_box(stream(k));
+        black_box(if with { effect.step(sample) } else { sample });
+    })
 }
 
 /// What a call with the effect takes beyond the same call without it, ns.

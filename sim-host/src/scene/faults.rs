@@ -13,7 +13,7 @@
 use flight_core::sample::{ImuSample, MagSample};
 use serde::Deserialize;
 
-use super::check;
+use super::{Named, check};
 use crate::effects::delivery::{
     BoxedDelivery, Counts, Dead, InvalidCode, RepeatedSample, Spike, StuckAxis, Window,
 };
@@ -75,27 +75,34 @@ pub fn named(faults: &[Fault]) -> Vec<(&'static str, bool)> {
 }
 
 /// What befalls the inertial samples, in the order of the file, at this many steps a second.
-pub fn on_imu(faults: &[Fault], rate_hz: f64) -> Vec<BoxedDelivery<ImuSample>> {
+pub fn on_imu(faults: &[Fault], rate_hz: f64) -> Vec<Named<BoxedDelivery<ImuSample>>> {
     let invalid = ImuSample { gyro: [i16::MIN; 3], accel: [i16::MIN; 3] };
-    let build = |fault: &Fault| match fault.sensor {
-        FaultySensor::Imu | FaultySensor::Gyro => Some(fault.build(rate_hz, |s| &mut s.gyro, invalid)),
-        FaultySensor::Accel => Some(fault.build(rate_hz, |s| &mut s.accel, invalid)),
-        FaultySensor::Mag => None,
+    let build = |fault: &Fault| {
+        let effect = match fault.sensor {
+            FaultySensor::Imu | FaultySensor::Gyro => fault.build(rate_hz, |s| &mut s.gyro, invalid),
+            FaultySensor::Accel => fault.build(rate_hz, |s| &mut s.accel, invalid),
+            FaultySensor::Mag => return None,
+        };
+        Some((fault.name(), effect))
     };
     faults.iter().filter_map(build).collect()
 }
 
 /// What befalls the magnetometer's samples.
-pub fn on_mag(faults: &[Fault], rate_hz: f64) -> Vec<BoxedDelivery<MagSample>> {
+pub fn on_mag(faults: &[Fault], rate_hz: f64) -> Vec<Named<BoxedDelivery<MagSample>>> {
     let invalid = MagSample { counts: [i16::MIN; 3] };
     faults
         .iter()
         .filter(|fault| fault.sensor == FaultySensor::Mag)
-        .map(|fault| fault.build(rate_hz, |s: &mut MagSample| &mut s.counts, invalid))
+        .map(|fault| (fault.name(), fault.build(rate_hz, |s: &mut MagSample| &mut s.counts, invalid)))
         .collect()
 }
 
 impl Fault {
+    fn name(&self) -> &'static str {
+        NAMES.iter().find(|(kind, _)| *kind == self.kind).map_or("fault", |(_, name)| name)
+    }
+
     /// Checks that the keys are in range and fit the kind.
     pub fn validate(&self) -> Result<(), InputError> {
         check::within("fault.at_s", self.at_s, 0.0, 1e6, "s")?;

@@ -89,6 +89,9 @@ impl Included {
     }
 }
 
+/// An effect and its name.
+pub type Named<T> = (&'static str, T);
+
 /// A checked scene.
 #[derive(Clone, Debug)]
 pub struct Scene {
@@ -291,16 +294,16 @@ impl Scene {
             mag: self.mag(seed, mag_rate_hz),
             field_ut: self.field_ut,
             jitter: None,
-            imu_delivery: faults::on_imu(&self.faults, rate_hz),
-            mag_delivery: faults::on_mag(&self.faults, mag_rate_hz),
+            imu_delivery: Vec::new(),
+            mag_delivery: Vec::new(),
         };
-        for (_, effect) in self.effects.imu.build(self.build_at(seed, rate_hz)) {
+        for (_, effect) in self.imu_effects(seed, rate_hz) {
             match effect {
                 ImuEffect::Sampling(jitter) => sensors.jitter = Some(jitter),
                 ImuEffect::Delivery(effect) => sensors.imu_delivery.push(effect),
             }
         }
-        for (_, effect) in self.effects.mag.build(self.build_at(seed, mag_rate_hz)) {
+        for (_, effect) in self.mag_effects(seed, mag_rate_hz) {
             if let MagEffect::Delivery(effect) = effect {
                 sensors.mag_delivery.push(effect);
             }
@@ -309,9 +312,22 @@ impl Scene {
     }
 
     /// What befalls the transmitter's frames, at this many steps a second.
-    pub fn link(&self, seed: u64, rate_hz: f64) -> Vec<BoxedDelivery<RcFrame>> {
-        let named = self.effects.link.build(self.build_at(seed, rate_hz));
-        named.into_iter().map(|(_, effect)| effect).collect()
+    pub fn link(&self, seed: u64, rate_hz: f64) -> Vec<Named<BoxedDelivery<RcFrame>>> {
+        self.effects.link.build(self.build_at(seed, rate_hz))
+    }
+
+    /// What befalls the inertial samples, faults first, at this many steps a second.
+    pub fn imu_effects(&self, seed: u64, rate_hz: f64) -> Vec<Named<ImuEffect>> {
+        let faults = faults::on_imu(&self.faults, rate_hz).into_iter();
+        let effects = self.effects.imu.build(self.build_at(seed, rate_hz));
+        faults.map(|(name, effect)| (name, effect.into())).chain(effects).collect()
+    }
+
+    /// What befalls the magnetometer's samples, faults first, at this many of them a second.
+    pub fn mag_effects(&self, seed: u64, rate_hz: f64) -> Vec<Named<MagEffect>> {
+        let faults = faults::on_mag(&self.faults, rate_hz).into_iter();
+        let effects = self.effects.mag.build(self.build_at(seed, rate_hz));
+        faults.map(|(name, effect)| (name, effect.into())).chain(effects).collect()
     }
 
     /// The flight controller, disarmed, at the start of its flight.
