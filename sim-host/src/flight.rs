@@ -17,8 +17,8 @@ use flight_core::{ArmState, FlightController, MotorPermit, Output};
 use xxhash_rust::xxh3::Xxh3;
 
 use crate::attitude_error::{AttitudeError, AttitudeRmse};
-use crate::effects::Moment;
 use crate::effects::delivery::BoxedDelivery;
+use crate::effects::{Moment, OPTIONAL};
 use crate::pilot::{FRAME_RATE_HZ, Pilot};
 use crate::scene::{DEFAULT_RATE_HZ, MAG_RATE_HZ, Scene};
 use crate::sensors::{Sensors, deliver};
@@ -245,11 +245,14 @@ impl Flight {
     /// What arrives at the flight controller at this time.
     #[inline(always)]
     fn sense(&mut self) -> Input {
-        let at = self.vehicle.moment();
-        let imu = self.sensors.imu(&at);
+        let imu = if OPTIONAL && !self.sensors.imu_is_perfect() {
+            self.sensors.imu(&self.vehicle.moment())
+        } else {
+            Some(self.sensors.perfect_imu(self.vehicle.state().rates, self.vehicle.specific_force()))
+        };
         let mag = if self.time_us >= self.next_mag_us {
             self.next_mag_us += MAG_US;
-            self.sensors.mag(&at)
+            self.sensors.mag(&self.vehicle.moment())
         } else {
             None
         };
@@ -259,10 +262,14 @@ impl Flight {
         } else {
             None
         };
-        if !self.link.is_empty() {
+        if OPTIONAL && !self.link.is_empty() {
             rc = deliver(&mut self.link, rc);
         }
-        let battery = self.vehicle.battery_v().map(|voltage_v| Battery { voltage_v: voltage_v as f32 });
+        let battery = self
+            .vehicle
+            .battery_v()
+            .filter(|_| OPTIONAL)
+            .map(|voltage_v| Battery { voltage_v: voltage_v as f32 });
         Input { time_us: self.time_us, imu, mag, rc, battery, health: Health::default() }
     }
 

@@ -8,7 +8,7 @@ use flight_core::geometry::{Vec3, vec3};
 use flight_core::sample::{ImuSample, MagSample};
 
 use crate::effects::delivery::{BoxedDelivery, Jitter};
-use crate::effects::{BoxedSensorEffect, Moment};
+use crate::effects::{BoxedSensorEffect, Moment, OPTIONAL};
 
 /// A chip's 16-bit converter.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -49,8 +49,10 @@ impl Sensor {
     #[inline(always)]
     pub fn measure(&mut self, truth: Vec3<f64>, at: &Moment) -> Vec3<f64> {
         let mut reading = truth;
-        for (_, effect) in &mut self.effects {
-            effect.apply_to(&mut reading, at);
+        if OPTIONAL {
+            for (_, effect) in &mut self.effects {
+                effect.apply_to(&mut reading, at);
+            }
         }
         reading
     }
@@ -58,7 +60,12 @@ impl Sensor {
     /// The counts for a true value.
     #[inline(always)]
     pub fn sample(&mut self, truth: Vec3<f64>, at: &Moment) -> [i16; 3] {
-        let Vec3 { x, y, z } = self.measure(truth, at);
+        let reading = self.measure(truth, at);
+        self.convert(reading)
+    }
+
+    #[inline(always)]
+    fn convert(&self, Vec3 { x, y, z }: Vec3<f64>) -> [i16; 3] {
         [self.converter.convert(x), self.converter.convert(y), self.converter.convert(z)]
     }
 
@@ -88,11 +95,25 @@ pub struct Sensors {
 }
 
 impl Sensors {
+    /// Whether gyroscope and accelerometer have no error and lose no sample: then
+    /// [`Self::perfect_imu`] says it all.
+    #[inline(always)]
+    pub fn imu_is_perfect(&self) -> bool {
+        let plain = self.gyro.effects.is_empty() && self.accel.effects.is_empty();
+        plain && self.jitter.is_none() && self.imu_delivery.is_empty()
+    }
+
+    /// The sample of these true values, rad/s and m/s², but for the converters.
+    #[inline(always)]
+    pub fn perfect_imu(&self, rates: Vec3<f64>, specific_force: Vec3<f64>) -> ImuSample {
+        ImuSample { gyro: self.gyro.convert(rates), accel: self.accel.convert(specific_force) }
+    }
+
     /// What arrives of gyroscope and accelerometer. Called once a step.
     #[inline(always)]
     pub fn imu(&mut self, at: &Moment) -> Option<ImuSample> {
         let mut arrived = None;
-        if self.jitter.is_none() && self.imu_delivery.is_empty() {
+        if !OPTIONAL || (self.jitter.is_none() && self.imu_delivery.is_empty()) {
             arrived = Some(self.imu_at(at));
         } else {
             self.imu_delivered(at, &mut arrived);
@@ -105,7 +126,7 @@ impl Sensors {
     pub fn mag(&mut self, at: &Moment) -> Option<MagSample> {
         let field = at.state.attitude.to_matrix().transpose() * self.field_ut;
         let sample = MagSample { counts: self.mag.sample(field, at) };
-        if self.mag_delivery.is_empty() {
+        if !OPTIONAL || self.mag_delivery.is_empty() {
             Some(sample)
         } else {
             deliver(&mut self.mag_delivery, Some(sample))

@@ -24,10 +24,10 @@ use flight_core::geometry::{Mat3, Quaternion, Vec3, vec3};
 
 pub use ground::Ground;
 
-use crate::effects::Moment;
 use crate::effects::vehicle::{
     Body, BodyEffect, CommandEffect, Lag, Load, Point, Stage, ThrustEffect, VehicleEffect, WindEffect,
 };
+use crate::effects::{Moment, OPTIONAL};
 
 /// Standard gravity, m/s².
 pub const GRAVITY: f64 = 9.80665;
@@ -298,27 +298,27 @@ impl Vehicle {
     /// Sets the speeds that the ESCs ask of the rotors, rad/s.
     #[inline]
     pub fn command(&mut self, mut wanted: [f64; 4]) {
-        if !self.commands.is_empty() {
+        if OPTIONAL && !self.commands.is_empty() {
             let mut effects = std::mem::take(&mut self.commands);
             let at = self.moment();
             effects.iter_mut().for_each(|effect| effect.apply(&mut wanted, &at));
             self.commands = effects;
         }
         self.wanted = wanted;
-        if self.lag.is_none() {
+        if !OPTIONAL || self.lag.is_none() {
             self.rotors = wanted;
             self.slope = self.slope_now();
         }
-        self.stale |= self.jumps;
+        self.stale |= OPTIONAL && self.jumps;
     }
 
     /// Moves on by one step.
     #[inline]
     pub fn advance(&mut self) {
-        if !self.winds.is_empty() {
+        if OPTIONAL && !self.winds.is_empty() {
             self.blow();
         }
-        if self.stale {
+        if OPTIONAL && self.stale {
             self.stale = false;
             self.slope = self.slope_now();
         }
@@ -360,7 +360,7 @@ impl Vehicle {
 
     #[inline(always)]
     fn rotors_at(&self, point: Point) -> Rotors {
-        let Some(lag) = &self.lag else {
+        let Some(lag) = self.lag.as_ref().filter(|_| OPTIONAL) else {
             return Rotors { speeds: self.rotors, accelerations: [0.0; 4] };
         };
         let mut rotors = Rotors { speeds: [0.0; 4], accelerations: [0.0; 4] };
@@ -378,32 +378,12 @@ impl Vehicle {
     fn slope_at(&self, state: &State, rotors: &Rotors) -> Slope {
         let p = &self.params;
         let matrix = state.attitude.to_matrix();
-        let mut thrusts = rotors.speeds.map(|speed| p.thrust_coefficient * (speed * speed));
-        // What no effect changes is left to the compiler to leave out.
-        let at = Stage {
-            state,
-            matrix: &matrix,
-            rotors: rotors.speeds,
-            rotor_accelerations: rotors.accelerations,
-            airspeed: state.velocity - self.wind,
+        let thrusts = rotors.speeds.map(|speed| p.thrust_coefficient * (speed * speed));
+        let mut load = if OPTIONAL && !(self.thrusts.is_empty() && self.bodies.is_empty()) {
+            self.affected(state, &matrix, rotors, thrusts)
+        } else {
+            self.load(state, &matrix, thrusts, thrusts)
         };
-        // The reaction torque is that of the propeller's own drag: changes of thrust leave it.
-        let [q1, q2, q3, q4] = thrusts;
-        for effect in &self.thrusts {
-            effect.apply(&mut thrusts, &at);
-        }
-        let [t1, t2, t3, t4] = thrusts;
-        let mut load = Load {
-            force: thrust_direction(&matrix) * -(t1 + t2 + t3 + t4),
-            torque: vec3(
-                self.lever_m * (t1 - t2 - t3 + t4),
-                self.lever_m * (t1 + t2 - t3 - t4),
-                self.torque_per_thrust * (q1 - q2 + q3 - q4),
-            ) - state.rates.cross(state.rates.scale_by(p.inertia_kg_m2)),
-        };
-        for effect in &self.bodies {
-            effect.apply(&mut load, &thrusts, &at);
-        }
         let acceleration = match &self.mount {
             Mount::BallJoint => Vec3::ZERO,
             Mount::Free(ground) => {
@@ -428,6 +408,45 @@ impl Vehicle {
             ),
             angular_acceleration: load.torque.scale_by(self.per_inertia),
         }
+    }
+}
+
+impl Vehicle {
+    /// What rotors with these thrusts do to the body, and its own turning. The reaction torque is that of the
+    /// propellers' own drag, in proportion to the thrusts that no effect has changed.
+    #[inline(always)]
+    fn load(&self, state: &State, matrix: &Mat3<f64>, thrusts: [f64; 4], unchanged: [f64; 4]) -> Load {
+        let ([t1, t2, t3, t4], [q1, q2, q3, q4]) = (thrusts, unchanged);
+        Load {
+            force: thrust_direction(matrix) * -(t1 + t2 + t3 + t4),
+            torque: vec3(
+                self.lever_m * (t1 - t2 - t3 + t4),
+                self.lever_m * (t1 + t2 - t3 - t4),
+                self.torque_per_thrust * (q1 - q2 + q3 - q4),
+            ) - state.rates.cross(state.rates.scale_by(self.params.inertia_kg_m2)),
+        }
+    }
+
+    /// The same with the effects of the scene. By itself, so that a flight without any does not prepare for
+    /// them.
+    #[inline(never)]
+    fn affected(&self, state: &State, matrix: &Mat3<f64>, rotors: &Rotors, unchanged: [f64; 4]) -> Load {
+        let at = Stage {
+            state,
+            matrix,
+            rotors: rotors.speeds,
+            rotor_accelerations: rotors.accelerations,
+            airspeed: state.velocity - self.wind,
+        };
+        let mut thrusts = unchanged;
+        for effect in &self.thrusts {
+            effect.apply(&mut thrusts, &at);
+        }
+        let mut load = self.load(state, matrix, thrusts, unchanged);
+        for effect in &self.bodies {
+            effect.apply(&mut load, &thrusts, &at);
+        }
+        load
     }
 }
 

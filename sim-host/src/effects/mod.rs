@@ -25,6 +25,10 @@ pub mod vehicle;
 
 use flight_core::geometry::Vec3;
 
+/// Whether this build has optional effects at all. The feature `bare` compiles every place that looks for them
+/// out, to measure what looking costs a scene that names none: `sim-host/benches/cost-of-nothing`.
+pub(crate) const OPTIONAL: bool = !cfg!(feature = "bare");
+
 use crate::input_error::InputError;
 use crate::vehicle::{State, VehicleParams};
 
