@@ -10,7 +10,7 @@ use std::time::Instant;
 use flight_core::geometry::{Quaternion, Vec3, vec3};
 
 use crate::effects::Moment;
-use crate::effects::vehicle::{Load, Point, Stage, VehicleEffect};
+use crate::effects::vehicle::{BodyEffect as _, Load, Point, Stage, VehicleEffect};
 use crate::scene::{DEFAULT_RATE_HZ, MAG_RATE_HZ, Scene};
 use crate::sensors::Sensor;
 use crate::vehicle::{GRAVITY, State};
@@ -47,7 +47,7 @@ const ROTOR_ACCELERATIONS: [f64; 4] = [100.0, -50.0, 30.0, -80.0];
 fn time(mut call: impl FnMut(u32)) -> f64 {
     let batch = |call: &mut dyn FnMut(u32)| {
         let start = Instant::now();
-        (0..CALLS).for_each(|k| call(k));
+        (0..CALLS).for_each(&mut *call);
         start.elapsed().as_nanos() as f64 / f64::from(CALLS)
     };
     (0..BATCHES).map(|_| batch(&mut call)).fold(f64::INFINITY, f64::min)

@@ -26,7 +26,7 @@ pub use ground::Ground;
 
 use crate::effects::Moment;
 use crate::effects::vehicle::{
-    BodyEffect, CommandEffect, Lag, Load, Point, Stage, ThrustEffect, VehicleEffect, WindEffect,
+    Body, BodyEffect, CommandEffect, Lag, Load, Point, Stage, ThrustEffect, VehicleEffect, WindEffect,
 };
 
 /// Standard gravity, m/s².
@@ -142,7 +142,7 @@ pub struct Vehicle {
     lag: Option<Lag>,
     winds: Vec<Box<dyn WindEffect>>,
     thrusts: Vec<Box<dyn ThrustEffect>>,
-    bodies: Vec<Box<dyn BodyEffect>>,
+    bodies: Vec<Body>,
     step_s: f64,
     time_s: f64,
     state: State,

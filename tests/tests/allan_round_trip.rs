@@ -9,11 +9,11 @@
 //! (0.00369 deg/s)², at 77 s, and below the walk of K = 0.0019 deg/s/√s, K² τ/3, at 29 s. An hour is for N, read
 //! from τ of 0.5 s to 16 s; a day is fitted in N, B and K at once from 1 s, where N alone is seen, to 2.4 h, a
 //! tenth of the record, beyond which fewer than ten independent pairs are left. Fitted from 100 s on with N known,
-//! the same days give B and K with 3.4 % and 5.8 % of deviation; at once, with 2.3 % and 2.7 %.
+//! the same days give B and K with 3.4 % and 5.8 % of deviation; at once, with 2.4 % and 2.7 %.
 //!
 //! # No luck
 //! `spread_over_seeds` prints, over 10 hours and 40 days of three axes: N off by 1.9 % at worst of 240 readings;
-//! B: mean −0.4 %, deviation 2.3 %, worst 7.1 % of 120; K: mean −0.8 %, deviation 2.7 %, worst 9.1 %. The bounds of
+//! B: mean −0.7 %, deviation 2.4 %, worst 7.7 % of 120; K: mean −0.8 %, deviation 2.7 %, worst 9.1 %. The bounds of
 //! 3.5 % and 15 % are five deviations away.
 
 use flight_core::geometry::Vec3;
@@ -252,7 +252,8 @@ fn spread_over_seeds() {
         let errors: Vec<f64> =
             (1..=40).flat_map(|seed| day(seed, effect).iter().map(error).collect::<Vec<_>>()).collect();
         let mean = errors.iter().sum::<f64>() / errors.len() as f64;
-        let deviation = (errors.iter().map(|e| (e - mean).powi(2)).sum::<f64>() / errors.len() as f64).sqrt();
+        let deviation =
+            (errors.iter().map(|e| (e - mean) * (e - mean)).sum::<f64>() / errors.len() as f64).sqrt();
         let worst = errors.iter().fold(0.0, |worst: f64, e| worst.max(e.abs()));
         let [mean, deviation, worst] = [mean, deviation, worst].map(|x| x * 100.0);
         println!("{name}: mean {mean:+.1} %, deviation {deviation:.1} %, worst of 120 {worst:.1} %");

@@ -1,5 +1,7 @@
 use super::*;
-use crate::effects::sensor::testing::at_rest;
+use crate::effects::Moment;
+use crate::effects::sensor::testing::{STATE, at_rest, moment};
+use crate::effects::vehicle::VehicleEffect;
 
 #[test]
 fn every_built_in_scene_reads_and_describes_itself() {
@@ -132,4 +134,65 @@ fn the_place_decides_on_the_field_and_the_model_on_the_declination() {
     assert!((declination + 13.6891).abs() < 0.02, "{declination}");
     let wrong = text.replace("\"model\"", "\"modell\"");
     assert!(Scene::parse("wrong", &wrong).unwrap_err().to_string().contains("must be a number of degrees"));
+}
+
+const EVERY_EFFECT: &str = include_str!("../../benches/every_effect.toml");
+
+/// The bare scene with those of [`EVERY_EFFECT`]'s own tables that are asked for.
+fn with_effects(names: &[&str]) -> Scene {
+    let every: toml::Table = EVERY_EFFECT.parse().unwrap();
+    let mut effects = every["effects"].as_table().unwrap().clone();
+    for (group, effects) in &mut effects {
+        let asked_for = |effect: &str| names.contains(&format!("{group}.{effect}").as_str());
+        effects.as_table_mut().unwrap().retain(|effect, _| asked_for(effect));
+    }
+    // As long as the flight that the file includes: the band of flicker depends on it.
+    let mut text: toml::Table = BARE.replace("duration_s = 1.0", "duration_s = 30.0").parse().unwrap();
+    text.insert("effects".into(), effects.into());
+    Scene::parse("some", &text.to_string()).unwrap()
+}
+
+/// What an effect of a sensor or of the air made of the same readings, bit by bit.
+type Contribution = (&'static str, Vec<[u64; 3]>);
+
+/// What each effect of a scene makes of the same readings while the vehicle flies: its contribution alone.
+fn contributions(scene: &Scene) -> Vec<Contribution> {
+    let state = crate::vehicle::State { rates: vec3(0.1, -0.2, 0.3), ..STATE };
+    let at = |k: u32| Moment { rotors: [200.0, 210.0, 220.0, 230.0], ..moment(&state, f64::from(k) * 1e-3) };
+    let bits = |v: Vec3<f64>| <[f64; 3]>::from(v).map(f64::to_bits);
+    let mut list = Vec::new();
+    for (name, effect) in scene.vehicle_effects(7, 1e3) {
+        if let VehicleEffect::Wind(mut wind) = effect {
+            list.push((name, (0..20).map(|k| bits(wind.velocity(&at(k)))).collect()));
+        }
+    }
+    for mut sensor in [scene.gyro(7, 1e3), scene.accel(7, 1e3), scene.mag(7, 1e3)] {
+        for (name, effect) in sensor.effects_mut() {
+            let made = |k: u32| bits(effect.apply(vec3(1.0, 2.0, -3.0), &at(k)));
+            list.push((*name, (0..20).map(made).collect()));
+        }
+    }
+    list
+}
+
+#[test]
+fn no_effect_moves_the_draws_of_another() {
+    let groups = ["wind.", "gyro.", "accel.", "mag.", "vehicle.quadratic_drag"];
+    let mut names = Scene::parse("every", EVERY_EFFECT).unwrap().effects();
+    names.retain(|name| groups.iter().any(|group| name.starts_with(group)));
+    let every = contributions(&with_effects(&names));
+    // A wind needs a drag, which draws nothing.
+    let alone = |name| contributions(&with_effects(&[name, "vehicle.quadratic_drag"]));
+    for (i, first) in every.iter().enumerate() {
+        assert_eq!(alone(first.0), std::slice::from_ref(first), "alone and with all the others");
+        for second in &every[i + 1..] {
+            let together = contributions(&with_effects(&[first.0, second.0, "vehicle.quadratic_drag"]));
+            assert_eq!(together, [first.clone(), second.clone()], "{} with {}", first.0, second.0);
+        }
+    }
+}
+
+#[test]
+fn the_file_of_every_effect_has_every_effect() {
+    assert_eq!(Scene::parse("every", EVERY_EFFECT).unwrap().left_out(), Vec::<&str>::new());
 }

@@ -15,17 +15,18 @@
 //!
 //! with a ripple of 2 sech(π²/ln r): 0.3 % for r = 4.
 //!
-//! A slow pole need not be drawn at every sample. Pole j has its corner at f_s/(32 · 4ʲ) and moves every 4ʲ
-//! samples, exactly: x ← φ x + √(1 − φ²) σ w, the same φ = e^(−2π/32) for all of them. Held in between, it
-//! lacks what it would have at multiples of its own rate, and there it is 3 % of the whole. Each pole moves at
-//! samples of its own: n = 2 · 4^(j−1) mod 4ʲ, which is when n has 2j − 1 trailing zero bits. So at most one slow
-//! pole moves at a sample, and any number of them costs a third of a draw.
+//! A slow pole need not be drawn at every sample. Pole j = 1, 2 … has its corner at f_s/(32 · 4ʲ) and moves
+//! every 4ʲ samples, exactly: x ← φ x + √(1 − φ²) σ w, the same φ = e^(−2π/32) for all of them. Held in
+//! between, it lacks what it would have at multiples of its own rate, where it is 3 % of the whole. Each moves
+//! at samples of its own: n = 2 · 4^(j−1) mod 4ʲ, which is when n has 2j − 1 trailing zero bits. So at most one
+//! slow pole moves at a sample, and any number of them costs a third of a draw.
 //!
-//! What lies above f_s/32 is left to one faster pole, fitted (least squares of ln S on a logarithmic scale of
-//! frequency) to bend the sum along 1/f up to f_s/2. The spectrum of all together, computed from the formulas,
-//! is within −4.1 … +0.6 % of B²/(2π f) below f_s/50, −6.8 … +2 % below f_s/4, and 12 % above it at f_s/2, where the
-//! spectrum of any sampled process is level. The slowest corner is at most 1/8 of 1/duration, so at f =
-//! 1/duration no more than (2/π)(1/16) = 4 % is missing.
+//! The rest, from f_s/128 up, is left to two fast poles that share one draw a sample: y = x₁ + x₂,
+//! xᵢ ← φᵢ xᵢ + gᵢ w, with φ and g fitted (least squares of ln S on a logarithmic scale of frequency, up to
+//! f_s/2). The spectrum of all together, computed from the formulas, is within −3.7 … +0.6 % of B²/(2π f) below
+//! f_s/50 and −6.9 … +1.8 % below f_s/4, and 12 % above it at f_s/2, where the spectrum of any sampled process
+//! is level. The slowest corner is at most 1/8 of 1/duration, so at f = 1/duration no more than
+//! (2/π)(1/16) = 4 % is missing.
 
 use flight_core::geometry::Vec3;
 use serde::Deserialize;
@@ -76,66 +77,58 @@ impl Recipe for AccelBiasInstability {
     }
 }
 
-/// Corner of the first pole beside the rate.
-const FIRST_CORNER: f64 = 1.0 / 32.0;
-/// The faster pole: φ, and its variance beside B².
-const TOP_DECAY: f64 = 0.364_454;
-const TOP_VARIANCE: f64 = 0.662_238;
-
-/// How a pole of unit B moves: x ← decay · x + gain · w.
-#[derive(Clone, Copy, Debug)]
-struct Pole {
-    decay: f64,
-    gain: f64,
-    /// Of the stationary process.
-    deviation: f64,
-}
-
-impl Pole {
-    fn new(decay: f64, variance: f64) -> Self {
-        let gain = libm::sqrt(variance * (1.0 - decay * decay));
-        Self { decay, gain, deviation: libm::sqrt(variance) }
-    }
-
-    #[inline(always)]
-    fn moved(&self, from: Vec3<f64>, draw: Vec3<f64>) -> Vec3<f64> {
-        from * self.decay + draw * self.gain
-    }
-}
+/// Corner of a slow pole beside the rate at which it moves.
+const CORNER: f64 = 1.0 / 32.0;
+/// φ₁ and φ₂ of the fast poles.
+const FAST_DECAYS: [f64; 2] = [0.818_286_74, 0.351_263_23];
+/// g₁ and g₂, in units of B.
+const FAST_GAINS: [f64; 2] = [0.277_899_44, 0.597_719_82];
 
 /// Flicker noise. The poles are in units of B.
 struct Flicker {
     b: Vec3<f64>,
-    top_pole: Pole,
-    pole: Pole,
-    top: Vec3<f64>,
-    first: Vec3<f64>,
-    /// Pole j + 1 at j.
+    fast: [Vec3<f64>; 2],
+    /// Pole j at j − 1.
     slow: Box<[Vec3<f64>]>,
     slow_sum: Vec3<f64>,
+    slow_decay: f64,
+    slow_gain: f64,
     samples: u64,
     streams: NormalStreams,
 }
 
 impl Flicker {
     fn new(b: Vec3<f64>, with: &Build) -> Self {
-        let variance = std::f64::consts::LN_2 * 2.0 / std::f64::consts::PI;
-        let decay = libm::exp(-std::f64::consts::TAU * FIRST_CORNER);
-        let (pole, top_pole) = (Pole::new(decay, variance), Pole::new(TOP_DECAY, TOP_VARIANCE));
-
         // Streams of their own for the start: a longer run has one more slow pole and else the same noise.
         let mut starts = NormalStreams::new(with.seed, &format!("{}.start", with.name));
-        let top = starts.draw() * top_pole.deviation;
-        let first = starts.draw() * pole.deviation;
-        let mut corner_hz = FIRST_CORNER * with.rate_hz;
+
+        // The fast poles share their draws, so they are correlated: ⟨xᵢ xⱼ⟩ = gᵢ gⱼ/(1 − φᵢ φⱼ).
+        let covariance =
+            |i: usize, j: usize| FAST_GAINS[i] * FAST_GAINS[j] / (1.0 - FAST_DECAYS[i] * FAST_DECAYS[j]);
+        let first_deviation = libm::sqrt(covariance(0, 0));
+        let along = covariance(0, 1) / first_deviation;
+        let across = libm::sqrt(covariance(1, 1) - along * along);
+        let (u, v) = (starts.draw(), starts.draw());
+        let fast = [u * first_deviation, u * along + v * across];
+
+        let variance = 2.0 * std::f64::consts::LN_2 / std::f64::consts::PI;
+        let slow_decay = libm::exp(-std::f64::consts::TAU * CORNER);
         let mut slow = Vec::new();
+        let mut corner_hz = CORNER * with.rate_hz;
         while corner_hz * with.duration_s > 0.125 {
             corner_hz *= 0.25;
-            slow.push(starts.draw() * pole.deviation);
+            slow.push(starts.draw() * libm::sqrt(variance));
         }
-        let slow_sum = slow.iter().fold(Vec3::ZERO, |sum, &x| sum + x);
-        let streams = NormalStreams::new(with.seed, with.name);
-        Self { b, top_pole, pole, top, first, slow: slow.into(), slow_sum, samples: 0, streams }
+        Self {
+            b,
+            fast,
+            slow_sum: slow.iter().fold(Vec3::ZERO, |sum, &x| sum + x),
+            slow: slow.into(),
+            slow_decay,
+            slow_gain: libm::sqrt(variance * (1.0 - slow_decay * slow_decay)),
+            samples: 0,
+            streams: NormalStreams::new(with.seed, with.name),
+        }
     }
 }
 
@@ -147,14 +140,16 @@ impl SensorEffect for Flicker {
         if zeros & 1 == 1
             && let Some(x) = self.slow.get_mut((zeros / 2) as usize)
         {
-            let moved = self.pole.moved(*x, self.streams.draw());
+            let moved = *x * self.slow_decay + self.streams.draw() * self.slow_gain;
             // The sum gathers a rounding of 10⁻¹⁶ B a move: 10⁻¹² B in 10⁸ of them.
             self.slow_sum += moved - *x;
             *x = moved;
         }
-        self.top = self.top_pole.moved(self.top, self.streams.draw());
-        self.first = self.pole.moved(self.first, self.streams.draw());
-        reading + (self.top + self.first + self.slow_sum).scale_by(self.b)
+        let draw = self.streams.draw();
+        for (i, x) in self.fast.iter_mut().enumerate() {
+            *x = *x * FAST_DECAYS[i] + draw * FAST_GAINS[i];
+        }
+        reading + (self.fast[0] + self.fast[1] + self.slow_sum).scale_by(self.b)
     }
 }
 

@@ -36,7 +36,7 @@ impl Recipe for GyroQuantization {
     }
 
     fn build(&self, _: &Build) -> BoxedSensorEffect {
-        Box::new(Steps(self.lsb_deg_s * DEG))
+        Box::new(Steps::new(self.lsb_deg_s * DEG))
     }
 }
 
@@ -48,16 +48,28 @@ impl Recipe for AccelQuantization {
     }
 
     fn build(&self, _: &Build) -> BoxedSensorEffect {
-        Box::new(Steps(self.lsb_m_s2))
+        Box::new(Steps::new(self.lsb_m_s2))
     }
 }
 
-struct Steps(f64);
+struct Steps {
+    lsb: f64,
+    per_lsb: f64,
+}
+
+impl Steps {
+    fn new(lsb: f64) -> Self {
+        Self { lsb, per_lsb: 1.0 / lsb }
+    }
+}
 
 impl SensorEffect for Steps {
     #[inline]
     fn apply(&mut self, reading: Vec3<f64>, _: &Moment) -> Vec3<f64> {
-        let rounded = |y: f64| libm::rint(y / self.0) * self.0;
+        // Adding and taking away 1.5 · 2⁵² rounds to the nearest integer, halves to even, below 2⁵¹ steps: at the
+        // finest LSB allowed that is 2,000,000 in the unit of its key.
+        const ROUNDER: f64 = 6_755_399_441_055_744.0;
+        let rounded = |y: f64| ((y * self.per_lsb + ROUNDER) - ROUNDER) * self.lsb;
         vec3(rounded(reading.x), rounded(reading.y), rounded(reading.z))
     }
 }

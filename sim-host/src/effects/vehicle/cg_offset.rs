@@ -12,7 +12,7 @@
 use flight_core::geometry::vec3;
 use serde::Deserialize;
 
-use super::{BodyEffect, Load, Stage, VehicleEffect};
+use super::{Body, BodyEffect, Load, Stage, VehicleEffect};
 use crate::effects::{Build, Recipe};
 use crate::input_error::InputError;
 use crate::scene::check;
@@ -34,16 +34,19 @@ impl Recipe for CgOffset {
 
     fn build(&self, _: &Build) -> VehicleEffect {
         let [forward, right, _] = self.offset_m;
-        VehicleEffect::Body(Box::new(Offset { forward, right }))
+        VehicleEffect::Body(Body::CgOffset(Offset { forward, right }))
     }
 }
 
-struct Offset {
+/// Where the centre of gravity is, m.
+#[derive(Debug)]
+pub struct Offset {
     forward: f64,
     right: f64,
 }
 
 impl BodyEffect for Offset {
+    #[inline(always)]
     fn apply(&self, load: &mut Load, thrusts: &[f64; 4], _: &Stage) {
         let thrust: f64 = thrusts.iter().sum();
         load.torque += vec3(self.right * thrust, -self.forward * thrust, 0.0);

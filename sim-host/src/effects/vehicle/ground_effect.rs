@@ -47,8 +47,10 @@ struct Cushion {
 
 impl Cushion {
     fn ratio(&self, height_m: f64) -> f64 {
-        let per_height = 0.25 * self.radius_m / height_m.max(0.5 * self.radius_m);
-        1.0 / (1.0 - per_height * per_height)
+        // 1/(1 − (R/4z)²) with one division: four rotors at four stages of every step.
+        let height_m = height_m.max(0.5 * self.radius_m);
+        let square = height_m * height_m;
+        square / (square - 0.0625 * self.radius_m * self.radius_m)
     }
 }
 

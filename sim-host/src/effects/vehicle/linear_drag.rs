@@ -5,7 +5,7 @@
 use flight_core::geometry::Vec3;
 use serde::Deserialize;
 
-use super::{BodyEffect, Load, Stage, VehicleEffect};
+use super::{Body, BodyEffect, Load, Stage, VehicleEffect};
 use crate::effects::{Build, Recipe};
 use crate::input_error::InputError;
 use crate::scene::check;
@@ -26,13 +26,16 @@ impl Recipe for LinearDrag {
     }
 
     fn build(&self, _: &Build) -> VehicleEffect {
-        VehicleEffect::Body(Box::new(Drag(self.a_kg_per_s.into())))
+        VehicleEffect::Body(Body::LinearDrag(Drag(self.a_kg_per_s.into())))
     }
 }
 
-struct Drag(Vec3<f64>);
+/// A, kg/s.
+#[derive(Debug)]
+pub struct Drag(Vec3<f64>);
 
 impl BodyEffect for Drag {
+    #[inline(always)]
     fn apply(&self, load: &mut Load, _: &[f64; 4], at: &Stage) {
         load.force = load.force - self.0.scale_by(at.airspeed);
     }

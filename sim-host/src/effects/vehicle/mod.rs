@@ -116,5 +116,45 @@ pub enum VehicleEffect {
     /// On the rotors' thrust.
     Thrust(Box<dyn ThrustEffect>),
     /// On the body.
-    Body(Box<dyn BodyEffect>),
+    Body(Body),
+}
+
+/// Every [`BodyEffect`]. The effects of a scene are called four times a step, one after the other, each adding
+/// to what the one before has left: named here the compiler keeps that in registers, where calls through
+/// pointers would pass it through memory.
+#[derive(Debug)]
+pub enum Body {
+    /// [`LinearDrag`]
+    LinearDrag(linear_drag::Drag),
+    /// [`QuadraticDrag`]
+    QuadraticDrag(quadratic_drag::Drag),
+    /// [`RotorDrag`]
+    RotorDrag(rotor_drag::HForce),
+    /// [`RotorGyroscopic`]
+    RotorGyroscopic(rotor_gyroscopic::Gyroscope),
+    /// [`RotorAcceleration`]
+    RotorAcceleration(rotor_acceleration::Reaction),
+    /// [`CgOffset`]
+    CgOffset(cg_offset::Offset),
+}
+
+impl BodyEffect for Body {
+    #[inline(always)]
+    fn apply(&self, load: &mut Load, thrusts: &[f64; 4], at: &Stage) {
+        match self {
+            Self::LinearDrag(effect) => effect.apply(load, thrusts, at),
+            Self::QuadraticDrag(effect) => effect.apply(load, thrusts, at),
+            Self::RotorDrag(effect) => effect.apply(load, thrusts, at),
+            Self::RotorGyroscopic(effect) => effect.apply(load, thrusts, at),
+            Self::RotorAcceleration(effect) => effect.apply(load, thrusts, at),
+            Self::CgOffset(effect) => effect.apply(load, thrusts, at),
+        }
+    }
+
+    fn follows_command_at_once(&self) -> bool {
+        match self {
+            Self::RotorAcceleration(effect) => effect.follows_command_at_once(),
+            _ => false,
+        }
+    }
 }

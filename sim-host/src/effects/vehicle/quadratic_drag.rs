@@ -10,7 +10,7 @@
 use flight_core::geometry::Vec3;
 use serde::Deserialize;
 
-use super::{BodyEffect, Load, Stage, VehicleEffect};
+use super::{Body, BodyEffect, Load, Stage, VehicleEffect};
 use crate::effects::{Build, Recipe};
 use crate::input_error::InputError;
 use crate::scene::check;
@@ -40,14 +40,16 @@ impl Recipe for QuadraticDrag {
 
     fn build(&self, _: &Build) -> VehicleEffect {
         let half_density = 0.5 * self.air_density_kg_m3;
-        VehicleEffect::Body(Box::new(Drag(Vec3::from(self.cd_area_m2) * half_density)))
+        VehicleEffect::Body(Body::QuadraticDrag(Drag(Vec3::from(self.cd_area_m2) * half_density)))
     }
 }
 
 /// ½ ρ C_dA, kg/m.
-struct Drag(Vec3<f64>);
+#[derive(Debug)]
+pub struct Drag(Vec3<f64>);
 
 impl BodyEffect for Drag {
+    #[inline(always)]
     fn apply(&self, load: &mut Load, _: &[f64; 4], at: &Stage) {
         let airspeed = at.matrix.transpose() * at.airspeed;
         let drag = airspeed.scale_by(self.0) * airspeed.norm();

@@ -10,7 +10,7 @@
 
 use serde::Deserialize;
 
-use super::{BodyEffect, Load, Stage, VehicleEffect};
+use super::{Body, BodyEffect, Load, Stage, VehicleEffect};
 use crate::effects::{Build, Recipe};
 use crate::input_error::InputError;
 
@@ -27,13 +27,16 @@ impl Recipe for RotorAcceleration {
     }
 
     fn build(&self, with: &Build) -> VehicleEffect {
-        VehicleEffect::Body(Box::new(Reaction(with.vehicle.rotor_inertia_kg_m2)))
+        VehicleEffect::Body(Body::RotorAcceleration(Reaction(with.vehicle.rotor_inertia_kg_m2)))
     }
 }
 
-struct Reaction(f64);
+/// J_r, kg·m².
+#[derive(Debug)]
+pub struct Reaction(f64);
 
 impl BodyEffect for Reaction {
+    #[inline(always)]
     fn apply(&self, load: &mut Load, _: &[f64; 4], at: &Stage) {
         let [a1, a2, a3, a4] = at.rotor_accelerations;
         load.torque.z += self.0 * (a1 - a2 + a3 - a4);

@@ -15,7 +15,7 @@
 use flight_core::geometry::vec3;
 use serde::Deserialize;
 
-use super::{BodyEffect, Load, Stage, VehicleEffect};
+use super::{Body, BodyEffect, Load, Stage, VehicleEffect};
 use crate::effects::{Build, Recipe};
 use crate::input_error::InputError;
 use crate::scene::check;
@@ -36,13 +36,16 @@ impl Recipe for RotorDrag {
     }
 
     fn build(&self, _: &Build) -> VehicleEffect {
-        VehicleEffect::Body(Box::new(HForce(self.k_kg_per_rad)))
+        VehicleEffect::Body(Body::RotorDrag(HForce(self.k_kg_per_rad)))
     }
 }
 
-struct HForce(f64);
+/// k, kg/rad.
+#[derive(Debug)]
+pub struct HForce(f64);
 
 impl BodyEffect for HForce {
+    #[inline(always)]
     fn apply(&self, load: &mut Load, _: &[f64; 4], at: &Stage) {
         let axis = vec3(at.matrix[0].z, at.matrix[1].z, at.matrix[2].z);
         let in_plane = at.airspeed - axis * axis.dot(at.airspeed);

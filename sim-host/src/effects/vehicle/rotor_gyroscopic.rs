@@ -6,7 +6,7 @@
 use flight_core::geometry::vec3;
 use serde::Deserialize;
 
-use super::{BodyEffect, Load, Stage, VehicleEffect};
+use super::{Body, BodyEffect, Load, Stage, VehicleEffect};
 use crate::effects::{Build, Recipe};
 use crate::input_error::InputError;
 
@@ -23,13 +23,16 @@ impl Recipe for RotorGyroscopic {
     }
 
     fn build(&self, with: &Build) -> VehicleEffect {
-        VehicleEffect::Body(Box::new(Gyroscope(with.vehicle.rotor_inertia_kg_m2)))
+        VehicleEffect::Body(Body::RotorGyroscopic(Gyroscope(with.vehicle.rotor_inertia_kg_m2)))
     }
 }
 
-struct Gyroscope(f64);
+/// J_r, kg·m².
+#[derive(Debug)]
+pub struct Gyroscope(f64);
 
 impl BodyEffect for Gyroscope {
+    #[inline(always)]
     fn apply(&self, load: &mut Load, _: &[f64; 4], at: &Stage) {
         let [w1, w2, w3, w4] = at.rotors;
         let h = self.0 * (w1 - w2 + w3 - w4);

@@ -2,7 +2,7 @@
 
 use flight_core::geometry::{Quaternion, Vec3, vec3};
 
-use super::{CommandEffect, Load, Stage, VehicleEffect, WindEffect};
+use super::{BodyEffect as _, CommandEffect, Load, Stage, VehicleEffect, WindEffect};
 use crate::effects::{Build, Moment, Recipe};
 use crate::vehicle::{GRAVITY, State, VehicleParams};
 
