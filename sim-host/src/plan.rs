@@ -164,7 +164,7 @@ fn vehicle(effect: VehicleEffect) -> f64 {
             2.0 * cost(|_, with| {
                 let mut rotors = black_box(ROTORS);
                 if with {
-                    rotors = rotors.map(|speed| lag.at(Point::Middle, speed, 225.0).0);
+                    rotors = rotors.map(|speed| lag.at(Point::Middle, speed, 225.0));
                 }
                 black_box(rotors);
             })

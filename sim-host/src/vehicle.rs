@@ -148,6 +148,8 @@ pub struct Vehicle {
     state: State,
     rotors: [f64; 4],
     wanted: [f64; 4],
+    /// Whether there is an effect on thrust or body.
+    affected_in_flight: bool,
     /// Velocity of the air in this step, m/s, north, east, down.
     wind: Vec3<f64>,
     /// Slope at the present state, for the sensors and the next step.
@@ -194,6 +196,7 @@ impl Vehicle {
             },
             rotors: [0.0; 4],
             wanted: [0.0; 4],
+            affected_in_flight: false,
             wind: Vec3::ZERO,
             slope: Slope {
                 velocity: Vec3::ZERO,
@@ -221,7 +224,9 @@ impl Vehicle {
                 VehicleEffect::Body(effect) => vehicle.bodies.push(effect),
             }
         }
+        vehicle.affected_in_flight = !(vehicle.thrusts.is_empty() && vehicle.bodies.is_empty());
         vehicle.jumps = vehicle.bodies.iter().any(|effect| effect.follows_command_at_once());
+        vehicle.blow();
         vehicle.slope = vehicle.slope_now();
         vehicle
     }
@@ -315,9 +320,6 @@ impl Vehicle {
     /// Moves on by one step.
     #[inline]
     pub fn advance(&mut self) {
-        if OPTIONAL && !self.winds.is_empty() {
-            self.blow();
-        }
         if OPTIONAL && self.stale {
             self.stale = false;
             self.slope = self.slope_now();
@@ -343,43 +345,45 @@ impl Vehicle {
             attitude,
             rates: at.rates + mean(|k| k.angular_acceleration),
         };
-        self.rotors = end.speeds;
+        self.rotors = end;
         self.time_s += h;
+        if OPTIONAL && !self.winds.is_empty() {
+            self.blow();
+        }
         self.slope = self.slope_at(&self.state, &end);
     }
 
-    /// The air's velocity for the coming step. The slope at its start is that of the new wind.
+    /// The air's velocity from here on. The slope that follows is that of the new wind.
     fn blow(&mut self) {
         let mut effects = std::mem::take(&mut self.winds);
         let at = self.moment();
-        let wind = effects.iter_mut().fold(Vec3::ZERO, |sum, effect| sum + effect.velocity(&at));
+        self.wind = effects.iter_mut().fold(Vec3::ZERO, |sum, effect| sum + effect.velocity(&at));
         self.winds = effects;
-        self.stale |= wind != self.wind;
-        self.wind = wind;
     }
 
     #[inline(always)]
-    fn rotors_at(&self, point: Point) -> Rotors {
-        let Some(lag) = self.lag.as_ref().filter(|_| OPTIONAL) else {
-            return Rotors { speeds: self.rotors, accelerations: [0.0; 4] };
-        };
-        let mut rotors = Rotors { speeds: [0.0; 4], accelerations: [0.0; 4] };
-        for i in 0..4 {
-            (rotors.speeds[i], rotors.accelerations[i]) = lag.at(point, self.rotors[i], self.wanted[i]);
+    fn rotors_at(&self, point: Point) -> [f64; 4] {
+        let mut rotors = self.rotors;
+        if let Some(lag) = &self.lag
+            && OPTIONAL
+        {
+            for (rotor, wanted) in rotors.iter_mut().zip(self.wanted) {
+                *rotor = lag.at(point, *rotor, wanted);
+            }
         }
         rotors
     }
 
     fn slope_now(&self) -> Slope {
-        self.slope_at(&self.state, &self.rotors_at(Point::Start))
+        self.slope_at(&self.state, &self.rotors)
     }
 
     #[inline(always)]
-    fn slope_at(&self, state: &State, rotors: &Rotors) -> Slope {
+    fn slope_at(&self, state: &State, rotors: &[f64; 4]) -> Slope {
         let p = &self.params;
         let matrix = state.attitude.to_matrix();
-        let thrusts = rotors.speeds.map(|speed| p.thrust_coefficient * (speed * speed));
-        let mut load = if OPTIONAL && !(self.thrusts.is_empty() && self.bodies.is_empty()) {
+        let thrusts = rotors.map(|speed| p.thrust_coefficient * (speed * speed));
+        let mut load = if OPTIONAL && self.affected_in_flight {
             self.affected(state, &matrix, rotors, thrusts)
         } else {
             self.load(state, &matrix, thrusts, thrusts)
@@ -430,12 +434,18 @@ impl Vehicle {
     /// The same with the effects of the scene. By itself, so that a flight without any does not prepare for
     /// them.
     #[inline(never)]
-    fn affected(&self, state: &State, matrix: &Mat3<f64>, rotors: &Rotors, unchanged: [f64; 4]) -> Load {
+    fn affected(&self, state: &State, matrix: &Mat3<f64>, rotors: &[f64; 4], unchanged: [f64; 4]) -> Load {
+        let mut rotor_accelerations = [0.0; 4];
+        if let Some(lag) = &self.lag {
+            for (i, acceleration) in rotor_accelerations.iter_mut().enumerate() {
+                *acceleration = lag.acceleration(rotors[i], self.wanted[i]);
+            }
+        }
         let at = Stage {
             state,
             matrix,
-            rotors: rotors.speeds,
-            rotor_accelerations: rotors.accelerations,
+            rotors: *rotors,
+            rotor_accelerations,
             airspeed: state.velocity - self.wind,
         };
         let mut thrusts = unchanged;
@@ -448,12 +458,6 @@ impl Vehicle {
         }
         load
     }
-}
-
-/// Rotor speeds at a point of a step, rad/s, and their rates of change, rad/s².
-struct Rotors {
-    speeds: [f64; 4],
-    accelerations: [f64; 4],
 }
 
 /// The body's z axis in the world: thrust points the other way.

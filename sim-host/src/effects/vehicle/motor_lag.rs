@@ -58,8 +58,6 @@ impl Decay {
 /// A point in a step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Point {
-    /// Its start.
-    Start,
     /// Half of it.
     Middle,
     /// All of it.
@@ -72,17 +70,26 @@ impl Lag {
         Self { up: Decay::new(up_s, step_s), down: Decay::new(down_s, step_s) }
     }
 
-    /// Speed (rad/s) and acceleration (rad/s²) of a rotor that does `now` and is to do `wanted`.
     #[inline(always)]
-    pub fn at(&self, point: Point, now: f64, wanted: f64) -> (f64, f64) {
-        let decay = if wanted > now { &self.up } else { &self.down };
+    fn decay(&self, now: f64, wanted: f64) -> &Decay {
+        if wanted > now { &self.up } else { &self.down }
+    }
+
+    /// Speed (rad/s) of a rotor that does `now` at the start of the step and is to do `wanted`.
+    #[inline(always)]
+    pub fn at(&self, point: Point, now: f64, wanted: f64) -> f64 {
+        let decay = self.decay(now, wanted);
         let left = match point {
-            Point::Start => 1.0,
             Point::Middle => decay.half,
             Point::End => decay.whole,
         };
-        let behind = (now - wanted) * left;
-        (wanted + behind, -behind * decay.per_tau)
+        wanted + (now - wanted) * left
+    }
+
+    /// Acceleration (rad/s²) of a rotor that does `now` and is to do `wanted`.
+    #[inline(always)]
+    pub fn acceleration(&self, now: f64, wanted: f64) -> f64 {
+        (wanted - now) * self.decay(now, wanted).per_tau
     }
 }
 
@@ -94,12 +101,13 @@ mod tests {
     fn speeds_up_and_slows_down_exponentially() {
         for tau_s in [0.05, 1e-4] {
             let lag = Lag::new(tau_s, 2.0 * tau_s, 0.01);
-            let (speed, acceleration) = lag.at(Point::End, 100.0, 200.0);
+            let speed = lag.at(Point::End, 100.0, 200.0);
             let left = 100.0 * libm::exp(-0.01 / tau_s);
-            assert!((speed - (200.0 - left)).abs() < 1e-9 && (acceleration - left / tau_s).abs() < 1e-9);
-            let (speed, _) = lag.at(Point::Middle, 200.0, 100.0);
+            assert!((speed - (200.0 - left)).abs() < 1e-9);
+            assert!((lag.acceleration(speed, 200.0) - left / tau_s).abs() < 1e-9 / tau_s);
+            let speed = lag.at(Point::Middle, 200.0, 100.0);
             assert!((speed - (100.0 + 100.0 * libm::exp(-0.005 / (2.0 * tau_s)))).abs() < 1e-9);
-            assert_eq!(lag.at(Point::Start, 150.0, 200.0), (150.0, 50.0 / tau_s));
+            assert_eq!(lag.acceleration(150.0, 100.0), -50.0 / (2.0 * tau_s));
         }
     }
 }
