@@ -21,10 +21,42 @@ fn fly(bencher: Bencher, name: &str) {
     bencher.counter(ItemsCount::new(steps)).bench(|| Flight::new(black_box(&scene), scene.seed).run(&mut ()));
 }
 
+/// Every effect that there is, named at once.
+const EVERY_EFFECT: &str = include_str!("every_effect.toml");
+
+fn every_effect() -> Scene {
+    let scene = Scene::parse("every_effect.toml", EVERY_EFFECT).expect("a valid scene");
+    assert!(scene.left_out().is_empty(), "add to every_effect.toml: {:?}", scene.left_out());
+    scene
+}
+
+/// A whole flight with every effect.
+#[divan::bench]
+fn fly_with_every_effect(bencher: Bencher) {
+    let scene = every_effect();
+    let steps = Flight::new(&scene, scene.seed).run(&mut ()).control_steps;
+    bencher.counter(ItemsCount::new(steps)).bench(|| Flight::new(black_box(&scene), scene.seed).run(&mut ()));
+}
+
 /// Nine axes of sensor samples on the bench.
 #[divan::bench]
 fn sense_static(bencher: Bencher) {
     let scene = Scene::load("static").expect("a built-in scene");
+    let samples = sense::run(&scene, scene.seed, 1000, None).expect("nothing is written");
+    bencher.counter(ItemsCount::new(samples)).bench(|| sense::run(black_box(&scene), scene.seed, 1000, None));
+}
+
+/// [`every_effect`] on the bench: without a pilot nothing but the sensors is computed.
+fn every_sensor_effect() -> Scene {
+    let mut scene = every_effect();
+    scene.pilot = None;
+    scene
+}
+
+/// The same with every sensor effect.
+#[divan::bench]
+fn sense_with_every_effect(bencher: Bencher) {
+    let scene = every_sensor_effect();
     let samples = sense::run(&scene, scene.seed, 1000, None).expect("nothing is written");
     bencher.counter(ItemsCount::new(samples)).bench(|| sense::run(black_box(&scene), scene.seed, 1000, None));
 }

@@ -12,14 +12,16 @@
 mod log;
 
 use flight_core::geometry::{Quaternion, Vec3, vec3};
-use flight_core::sample::{Health, ImuSample, Input, MagSample, RcFrame};
+use flight_core::sample::{Battery, Health, Input, RcFrame};
 use flight_core::{ArmState, FlightController, MotorPermit, Output};
 use xxhash_rust::xxh3::Xxh3;
 
 use crate::attitude_error::{AttitudeError, AttitudeRmse};
+use crate::effects::delivery::BoxedDelivery;
+use crate::effects::{Moment, OPTIONAL};
 use crate::pilot::{FRAME_RATE_HZ, Pilot};
-use crate::scene::{DEFAULT_RATE_HZ, FIELD_ANKARA_UT, MAG_RATE_HZ, Scene};
-use crate::sensors::Sensor;
+use crate::scene::{DEFAULT_RATE_HZ, MAG_RATE_HZ, Scene};
+use crate::sensors::{Sensors, deliver};
 use crate::vehicle::{State, Vehicle};
 
 pub use log::FlightLog;
@@ -71,8 +73,8 @@ pub struct StepView<'a> {
     pub time_us: u64,
     /// The truth at this time.
     pub truth: &'a State,
-    /// What a perfect accelerometer reads, m/s², body axes.
-    pub specific_force: Vec3<f64>,
+    /// The truth as the sensors and effects see it.
+    pub moment: Moment<'a>,
     /// Where the pilot wants the vehicle, north, east, down, m.
     pub target_m: Option<Vec3<f64>>,
     /// True rotor speeds, rad/s.
@@ -154,10 +156,9 @@ impl Outcome {
 /// A flight under way.
 pub struct Flight {
     vehicle: Vehicle,
-    gyro: Sensor,
-    accel: Sensor,
-    mag: Sensor,
+    sensors: Sensors,
     pilot: Option<Pilot>,
+    link: Vec<BoxedDelivery<RcFrame>>,
     controller: FlightController,
     max_rotor_rad_s: f64,
     aerobatic: bool,
@@ -185,18 +186,16 @@ impl Flight {
         let step_s = STEP_US as f64 * 1e-6;
         let rate_hz = f64::from(DEFAULT_RATE_HZ);
         let vehicle =
-            Vehicle::at_rest(scene.vehicle, scene.mount(), scene.body_effects(), scene.motor_lag_s(), step_s);
-        let [gyro, accel, mag] = scene.converters;
+            Vehicle::at_rest(scene.vehicle, scene.mount(), scene.vehicle_effects(seed, rate_hz), step_s);
         let pilot = scene
             .pilot
             .as_ref()
             .map(|p| Pilot::new(p, scene.duration_s, scene.pilot_knowledge(), vehicle.state()));
         Self {
             vehicle,
-            gyro: Sensor::new(scene.gyro_effects(seed, rate_hz), gyro),
-            accel: Sensor::new(scene.accel_effects(seed, rate_hz), accel),
-            mag: Sensor::new(scene.mag_effects(seed, f64::from(MAG_RATE_HZ)), mag),
+            sensors: scene.sensors(seed, rate_hz, f64::from(MAG_RATE_HZ)),
             pilot,
+            link: scene.link(seed, rate_hz).into_iter().map(|(_, effect)| effect).collect(),
             controller: scene.controller(),
             max_rotor_rad_s: scene.vehicle.max_rad_s,
             aerobatic: scene.aerobatic,
@@ -228,7 +227,7 @@ impl Flight {
         observer.step(&StepView {
             time_us: self.time_us,
             truth: self.vehicle.state(),
-            specific_force: self.vehicle.specific_force(),
+            moment: self.vehicle.moment(),
             target_m: self.pilot.as_ref().map(|pilot| pilot.target_m(self.time_us as f64 * 1e-6)),
             rotors_rad_s: self.vehicle.rotors(),
             input: &input,
@@ -246,23 +245,32 @@ impl Flight {
     /// What arrives at the flight controller at this time.
     #[inline(always)]
     fn sense(&mut self) -> Input {
-        let state = self.vehicle.state();
-        let imu = ImuSample {
-            gyro: self.gyro.sample(state.rates),
-            accel: self.accel.sample(self.vehicle.specific_force()),
+        let imu = if OPTIONAL && !self.sensors.imu_is_perfect() {
+            self.sensors.imu(&self.vehicle.moment())
+        } else {
+            Some(self.sensors.perfect_imu(self.vehicle.state().rates, self.vehicle.specific_force()))
         };
-        let mag = (self.time_us >= self.next_mag_us).then(|| {
+        let mag = if self.time_us >= self.next_mag_us {
             self.next_mag_us += MAG_US;
-            let field = state.attitude.to_matrix().transpose() * FIELD_ANKARA_UT;
-            MagSample { counts: self.mag.sample(field) }
-        });
-        let rc = if self.time_us >= self.next_rc_us {
+            self.sensors.mag(&self.vehicle.moment())
+        } else {
+            None
+        };
+        let mut rc = if self.time_us >= self.next_rc_us {
             self.next_rc_us += RC_US;
             self.rc_frame()
         } else {
             None
         };
-        Input { time_us: self.time_us, imu: Some(imu), mag, rc, battery: None, health: Health::default() }
+        if OPTIONAL && !self.link.is_empty() {
+            rc = deliver(&mut self.link, rc);
+        }
+        let battery = self
+            .vehicle
+            .battery_v()
+            .filter(|_| OPTIONAL)
+            .map(|voltage_v| Battery { voltage_v: voltage_v as f32 });
+        Input { time_us: self.time_us, imu, mag, rc, battery, health: Health::default() }
     }
 
     fn rc_frame(&mut self) -> Option<RcFrame> {

@@ -7,12 +7,15 @@
 
 pub mod attitude_error;
 pub mod chart;
+pub mod earth_field;
+pub mod effects;
 pub mod estimate;
 pub mod flight;
 pub mod input_error;
 pub mod log;
 pub mod output_file;
 pub mod pilot;
+pub mod plan;
 pub mod random;
 pub mod report;
 pub mod scene;

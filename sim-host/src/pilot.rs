@@ -6,7 +6,7 @@
 
 use std::collections::VecDeque;
 
-use flight_core::geometry::Vec3;
+use flight_core::geometry::{Vec3, vec3};
 use flight_core::rc::{CENTRE_TICKS, HIGH_TICKS, LOW_TICKS};
 use flight_core::sample::RcFrame;
 
@@ -125,6 +125,10 @@ const ARM_GESTURE_S: f64 = 1.2;
 /// 0.05 s of motor lag, 2.4 /s of damping leaves a phase margin of 50°.
 const HEIGHT_P: f64 = 1.4;
 const HEIGHT_D: f64 = 2.4;
+/// Height error over time to acceleration, 1/s³: against a battery that goes down, a payload, a downdraught.
+const HEIGHT_I: f64 = 0.3;
+/// What is wound up is no more than this, m/s²: a third of the weight.
+const MAX_INTEGRAL_M_S2: f64 = 3.0;
 /// The same for north and east, where the vehicle has to tilt first (0.25 s more).
 const PLACE_P: f64 = 0.5;
 const PLACE_D: f64 = 1.2;
@@ -147,7 +151,8 @@ pub struct Pilot {
     home: Vec3<f64>,
     /// Start of the descent, s.
     land_at_s: Option<f64>,
-    place_integral: Vec3<f64>,
+    /// Accelerations that the errors so far ask for, north, east, down, m/s².
+    integral: Vec3<f64>,
     landed_at_s: Option<f64>,
 }
 
@@ -163,7 +168,7 @@ impl Pilot {
             knowledge,
             seen: VecDeque::with_capacity(REACTION_FRAMES + 1),
             home: start.position,
-            place_integral: Vec3::ZERO,
+            integral: Vec3::ZERO,
             landed_at_s: None,
         }
     }
@@ -172,9 +177,10 @@ impl Pilot {
     pub fn target_m(&self, t_s: f64) -> Vec3<f64> {
         let Plan { take_off_at_s, height_m, .. } = self.plan;
         let climbed = ((t_s - take_off_at_s) * CLIMB_M_S).clamp(0.0, height_m);
-        // The descent goes on below the ground, so that the vehicle settles on it.
+        // The descent goes on below the ground, so that the vehicle settles on it. Down to 2 m, which is
+        // 2.8 m/s² of height error: the rotors' cushion over the ground holds up to a third more.
         let descended = self.land_at_s.map_or(0.0, |at| ((t_s - at) * DESCENT_M_S).max(0.0));
-        let height = (climbed - descended).max(-0.5);
+        let height = (climbed - descended).max(-2.0);
         Vec3 { z: self.home.z - height, ..self.home }
     }
 
@@ -217,27 +223,31 @@ impl Pilot {
         sticks
     }
 
-    /// Whether the vehicle is seen on the ground and at rest; on a stand, at once.
+    /// Whether the vehicle is seen to be down, sliding in the wind or not; on a stand, at once.
     fn is_down(&self, t_s: f64, view: &State) -> bool {
         match self.base {
             Base::Centred { .. } => true,
             Base::Hold => {
                 self.target_m(t_s).z > self.home.z
-                    && view.position.z > self.home.z - 0.02
-                    && view.velocity.norm() < 0.1
+                    && view.position.z > self.home.z - 0.03
+                    && view.velocity.z.abs() < 0.1
             }
         }
     }
 
     fn hold(&mut self, t_s: f64, view: &State) -> Sticks {
         let error = self.target_m(t_s) - view.position;
-        let wanted_z = HEIGHT_P * error.z + HEIGHT_D * (self.target_rate_m_s(t_s) - view.velocity.z);
-
-        let level = Vec3 { z: 0.0, ..error };
+        // On the ground nothing is learnt: the legs answer, not the air.
         if view.position.z < self.home.z - 0.2 {
-            self.place_integral += level * (PLACE_I / FRAME_RATE_HZ);
+            let limit = |a: f64| a.clamp(-MAX_INTEGRAL_M_S2, MAX_INTEGRAL_M_S2);
+            let Vec3 { x, y, z } =
+                self.integral + error.scale_by(vec3(PLACE_I, PLACE_I, HEIGHT_I)) * (1.0 / FRAME_RATE_HZ);
+            self.integral = vec3(limit(x), limit(y), limit(z));
         }
-        let a = level * PLACE_P - view.velocity * PLACE_D + self.place_integral;
+        let climb = self.target_rate_m_s(t_s) - view.velocity.z;
+        let wanted_z = HEIGHT_P * error.z + HEIGHT_D * climb + self.integral.z;
+        let level = Vec3 { z: 0.0, ..error };
+        let a = level * PLACE_P - view.velocity * PLACE_D + self.integral;
         // Forward and right as the pilot sees the vehicle point.
         let nose = view.attitude.rotate(Vec3::X);
         let length = libm::sqrt(nose.x * nose.x + nose.y * nose.y).max(1e-6);
@@ -270,7 +280,7 @@ impl Pilot {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use flight_core::geometry::{Quaternion, vec3};
+    use flight_core::geometry::Quaternion;
 
     const KNOWLEDGE: Knowledge =
         Knowledge { hover_throttle: 0.5, max_tilt_rad: 0.785, max_yaw_rate_rad_s: 1.57 };

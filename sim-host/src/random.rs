@@ -47,6 +47,35 @@ impl Ziggurat {
     }
 }
 
+/// The generator of one axis of one effect in a scene with this seed.
+fn generator(seed: u64, effect: &str, axis: usize) -> Xoshiro256PlusPlus {
+    let hash = xxh3_64_with_seed(effect.as_bytes(), seed);
+    Xoshiro256PlusPlus::seed_from_u64(hash ^ (axis as u64).wrapping_mul(0x9E37_79B9_7F4A_7C15))
+}
+
+/// Uniform in (0, 1], a multiple of 2⁻⁵³.
+#[inline]
+fn uniform(generator: &mut Xoshiro256PlusPlus) -> f64 {
+    ((generator.next_u64() >> 11) + 1) as f64 * (1.0 / (1_u64 << 53) as f64)
+}
+
+/// A stream of numbers uniform in (0, 1].
+#[derive(Clone, Debug)]
+pub struct UniformStream(Xoshiro256PlusPlus);
+
+impl UniformStream {
+    /// The stream of one axis of one effect in a scene with this seed.
+    pub fn new(seed: u64, effect: &str, axis: usize) -> Self {
+        Self(generator(seed, effect, axis))
+    }
+
+    /// The next number.
+    #[inline]
+    pub fn draw(&mut self) -> f64 {
+        uniform(&mut self.0)
+    }
+}
+
 /// A stream of standard normal numbers.
 #[derive(Clone)]
 pub struct NormalStream {
@@ -57,15 +86,7 @@ pub struct NormalStream {
 impl NormalStream {
     /// The stream of one axis of one effect in a scene with this seed.
     pub fn new(seed: u64, effect: &str, axis: usize) -> Self {
-        let hash = xxh3_64_with_seed(effect.as_bytes(), seed);
-        let generator =
-            Xoshiro256PlusPlus::seed_from_u64(hash ^ (axis as u64).wrapping_mul(0x9E37_79B9_7F4A_7C15));
-        Self { generator, ziggurat: Ziggurat::get() }
-    }
-
-    /// Uniform in (0, 1].
-    fn uniform(&mut self) -> f64 {
-        ((self.generator.next_u64() >> 11) + 1) as f64 * (1.0 / (1_u64 << 53) as f64)
+        Self { generator: generator(seed, effect, axis), ziggurat: Ziggurat::get() }
     }
 
     /// The next number.
@@ -92,15 +113,15 @@ impl NormalStream {
         if layer == 0 {
             // The tail beyond R (Marsaglia 1964).
             loop {
-                let away = -libm::log(self.uniform()) / R;
-                let y = -libm::log(self.uniform());
+                let away = -libm::log(uniform(&mut self.generator)) / R;
+                let y = -libm::log(uniform(&mut self.generator));
                 if 2.0 * y >= away * away {
                     return Some(if x < 0.0 { -R - away } else { R + away });
                 }
             }
         }
         let (low, high) = (self.ziggurat.density[layer], self.ziggurat.density[layer + 1]);
-        (low + self.uniform() * (high - low) < density(x)).then_some(x)
+        (low + uniform(&mut self.generator) * (high - low) < density(x)).then_some(x)
     }
 }
 
@@ -167,6 +188,23 @@ mod tests {
             let p = libm::erfc(edge / 2.0_f64.sqrt());
             assert!((f64::from(count) - p * n).abs() < 5.0 * (p * n).sqrt(), "beyond {edge}: {count}");
         }
+    }
+
+    #[test]
+    fn uniform_numbers_have_mean_and_variance_of_the_uniform_distribution() {
+        let mut stream = UniformStream::new(1, "test", 0);
+        let n = 1_000_000;
+        let (mut sum, mut squares) = (0.0, 0.0);
+        for _ in 0..n {
+            let x = stream.draw();
+            assert!(x > 0.0 && x <= 1.0);
+            sum += x;
+            squares += x * x;
+        }
+        let n = f64::from(n);
+        // Five standard errors: x has the variance 1/12, x² has 1/5 − 1/9 = 4/45.
+        assert!((sum / n - 0.5).abs() < 5.0 * (1.0 / 12.0 / n).sqrt());
+        assert!((squares / n - 1.0 / 3.0).abs() < 5.0 * (4.0 / 45.0 / n).sqrt());
     }
 
     #[test]

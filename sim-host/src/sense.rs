@@ -3,20 +3,17 @@
 //! A scene with a pilot is flown, and its sensors are sampled on the way. A scene without one lies on the
 //! bench, where nothing but the sensors has to be computed.
 
-use flight_core::geometry::Vec3;
-
+use crate::effects::Moment;
 use crate::flight::{Flight, Observer, STEP_US, StepView};
 use crate::input_error::InputError;
 use crate::log::{LogRow, LogWriter};
-use crate::scene::{DEFAULT_RATE_HZ, FIELD_ANKARA_UT, MAG_RATE_HZ, Scene};
-use crate::sensors::Sensor;
-use crate::vehicle::{State, Vehicle};
+use crate::scene::{DEFAULT_RATE_HZ, MAG_RATE_HZ, Scene};
+use crate::sensors::Sensors;
+use crate::vehicle::Vehicle;
 
 /// The three sensors at a rate of one's own.
 struct Sampler<'a> {
-    gyro: Sensor,
-    accel: Sensor,
-    mag: Sensor,
+    sensors: Sensors,
     /// Samples of gyroscope and accelerometer to one of the magnetometer.
     mag_every: u64,
     samples: u64,
@@ -26,13 +23,10 @@ struct Sampler<'a> {
 
 impl<'a> Sampler<'a> {
     fn new(scene: &Scene, seed: u64, rate_hz: u32, out: Option<&'a mut LogWriter>) -> Self {
-        let [gyro, accel, mag] = scene.converters;
         let mag_every = u64::from(rate_hz / MAG_RATE_HZ).max(1);
         let rate_hz = f64::from(rate_hz);
         Self {
-            gyro: Sensor::new(scene.gyro_effects(seed, rate_hz), gyro),
-            accel: Sensor::new(scene.accel_effects(seed, rate_hz), accel),
-            mag: Sensor::new(scene.mag_effects(seed, rate_hz / mag_every as f64), mag),
+            sensors: scene.sensors(seed, rate_hz, rate_hz / mag_every as f64),
             mag_every,
             samples: 0,
             out,
@@ -40,27 +34,26 @@ impl<'a> Sampler<'a> {
         }
     }
 
-    /// Takes one sample of the truth at time `time_s`.
+    /// Takes one sample of the truth.
     #[inline(always)]
-    fn sample(&mut self, time_s: f64, truth: &State, specific_force: Vec3<f64>, moving: bool) {
-        let gyro = self.gyro.sample(truth.rates);
-        let accel = self.accel.sample(specific_force);
-        let mag = self
-            .samples
-            .is_multiple_of(self.mag_every)
-            .then(|| self.mag.sample(truth.attitude.to_matrix().transpose() * FIELD_ANKARA_UT));
+    fn sample(&mut self, at: &Moment, moving: bool) {
+        let imu = self.sensors.imu(at);
+        let mag = if self.samples.is_multiple_of(self.mag_every) { self.sensors.mag(at) } else { None };
         self.samples += 1;
         let Some(out) = &mut self.out else {
             // The throughput figure must not be that of a loop that was optimised away.
-            std::hint::black_box((gyro, accel, mag));
+            std::hint::black_box((&imu, &mag));
             return;
         };
+        // Without an inertial sample there is no row: that is what a lost one looks like in a log.
+        let Some(imu) = imu else { return };
+        let Sensors { gyro, accel, mag: magnetometer, .. } = &self.sensors;
         let row = LogRow {
-            time_s,
-            gyro_rad_s: self.gyro.nominal(gyro).into(),
-            accel_m_s2: self.accel.nominal(accel).into(),
-            mag_ut: mag.map(|counts| self.mag.nominal(counts).into()),
-            reference: Some(truth.attitude.to_array()),
+            time_s: at.time_s,
+            gyro_rad_s: gyro.nominal(imu.gyro).into(),
+            accel_m_s2: accel.nominal(imu.accel).into(),
+            mag_ut: mag.map(|sample| magnetometer.nominal(sample.counts).into()),
+            reference: Some(at.state.attitude.to_array()),
             moving,
         };
         if self.failed.is_none() {
@@ -79,7 +72,7 @@ impl Observer for InFlight<'_> {
     fn step(&mut self, view: &StepView) {
         if view.time_us.is_multiple_of(self.interval_us) {
             let moving = view.output.permit.is_some();
-            self.sampler.sample(view.time_us as f64 * 1e-6, view.truth, view.specific_force, moving);
+            self.sampler.sample(&view.moment, moving);
         }
     }
 }
@@ -105,11 +98,11 @@ pub fn run(scene: &Scene, seed: u64, rate_hz: u32, out: Option<&mut LogWriter>) 
             return refused("must be from 1 to 32000 Hz");
         }
         let mut sampler = Sampler::new(scene, seed, rate_hz, out);
-        let vehicle = Vehicle::at_rest(scene.vehicle, scene.mount(), vec![], None, 1e-3);
-        let (truth, force) = (*vehicle.state(), vehicle.specific_force());
+        let vehicle = Vehicle::at_rest(scene.vehicle, scene.mount(), vec![], 1e-3);
         let samples = libm::round(scene.duration_s * f64::from(rate_hz)) as u64;
         for k in 0..samples {
-            sampler.sample(k as f64 / f64::from(rate_hz), &truth, force, true);
+            let at = Moment { time_s: k as f64 / f64::from(rate_hz), ..vehicle.moment() };
+            sampler.sample(&at, true);
         }
         sampler
     };

@@ -1,46 +1,14 @@
 //! What the sensors make of the truth: effects in a fixed order, then the chip's converter.
 //!
 //! ```text
-//!  truth (f64, body axes) ──► effects that the scene names, in the order of `SensorEffect` ──► range, LSB ──► counts
+//!  truth (f64, body axes) ──► effects that the scene names, in the order of `scene/effects.rs` ──► range, LSB ──► counts
 //! ```
 
 use flight_core::geometry::{Vec3, vec3};
+use flight_core::sample::{ImuSample, MagSample};
 
-use crate::random::NormalStreams;
-
-/// One error of a three-axis sensor, in the sensor's SI unit (magnetometer: µT). The variants stand in the
-/// order in which they apply.
-#[derive(Clone, Debug)]
-pub enum SensorEffect {
-    /// Eq 17: a field that turns with the vehicle.
-    HardIron(Vec3<f64>),
-    /// Eq 16: y\[k\] = N/√Δt w\[k\].
-    WhiteNoise {
-        /// N/√Δt per axis.
-        deviation: Vec3<f64>,
-        /// w.
-        streams: NormalStreams,
-    },
-}
-
-impl SensorEffect {
-    /// White noise of density N (unit/√Hz, two-sided: the noise of one-second means) on samples `interval_s`
-    /// apart. `effect` names the stream.
-    pub fn white_noise(n: Vec3<f64>, interval_s: f64, seed: u64, effect: &str) -> Self {
-        Self::WhiteNoise {
-            deviation: n * (1.0 / libm::sqrt(interval_s)),
-            streams: NormalStreams::new(seed, effect),
-        }
-    }
-
-    #[inline(always)]
-    fn apply(&mut self, reading: Vec3<f64>) -> Vec3<f64> {
-        match self {
-            Self::HardIron(field) => reading + *field,
-            Self::WhiteNoise { deviation, streams } => reading + deviation.scale_by(streams.draw()),
-        }
-    }
-}
+use crate::effects::delivery::{BoxedDelivery, Jitter};
+use crate::effects::{BoxedSensorEffect, Moment, OPTIONAL};
 
 /// A chip's 16-bit converter.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -61,28 +29,43 @@ impl Converter {
 }
 
 /// A three-axis sensor: its errors, then its converter.
-#[derive(Clone, Debug)]
 pub struct Sensor {
-    effects: Vec<SensorEffect>,
+    effects: Vec<(&'static str, BoxedSensorEffect)>,
     converter: Converter,
 }
 
 impl Sensor {
     /// A sensor with these effects, which apply in the order given.
-    pub fn new(effects: Vec<SensorEffect>, converter: Converter) -> Self {
+    pub fn new(effects: Vec<(&'static str, BoxedSensorEffect)>, converter: Converter) -> Self {
         Self { effects, converter }
+    }
+
+    /// The effects, to be looked at by themselves.
+    pub fn effects_mut(&mut self) -> &mut [(&'static str, BoxedSensorEffect)] {
+        &mut self.effects
     }
 
     /// The reading of a true value, before the converter.
     #[inline(always)]
-    pub fn measure(&mut self, truth: Vec3<f64>) -> Vec3<f64> {
-        self.effects.iter_mut().fold(truth, |reading, effect| effect.apply(reading))
+    pub fn measure(&mut self, truth: Vec3<f64>, at: &Moment) -> Vec3<f64> {
+        let mut reading = truth;
+        if OPTIONAL {
+            for (_, effect) in &mut self.effects {
+                effect.apply_to(&mut reading, at);
+            }
+        }
+        reading
     }
 
     /// The counts for a true value.
     #[inline(always)]
-    pub fn sample(&mut self, truth: Vec3<f64>) -> [i16; 3] {
-        let Vec3 { x, y, z } = self.measure(truth);
+    pub fn sample(&mut self, truth: Vec3<f64>, at: &Moment) -> [i16; 3] {
+        let reading = self.measure(truth, at);
+        self.convert(reading)
+    }
+
+    #[inline(always)]
+    fn convert(&self, Vec3 { x, y, z }: Vec3<f64>) -> [i16; 3] {
         [self.converter.convert(x), self.converter.convert(y), self.converter.convert(z)]
     }
 
@@ -93,9 +76,100 @@ impl Sensor {
     }
 }
 
+/// All sensors of a vehicle, and what befalls their samples on the way to the flight controller.
+pub struct Sensors {
+    /// rad/s.
+    pub gyro: Sensor,
+    /// m/s².
+    pub accel: Sensor,
+    /// µT.
+    pub mag: Sensor,
+    /// The Earth's field, north, east, down, µT.
+    pub field_ut: Vec3<f64>,
+    /// What moves the time at which gyroscope and accelerometer are sampled.
+    pub jitter: Option<Jitter>,
+    /// What befalls the samples of gyroscope and accelerometer.
+    pub imu_delivery: Vec<BoxedDelivery<ImuSample>>,
+    /// What befalls the samples of the magnetometer.
+    pub mag_delivery: Vec<BoxedDelivery<MagSample>>,
+}
+
+impl Sensors {
+    /// Whether gyroscope and accelerometer have no error and lose no sample: then
+    /// [`Self::perfect_imu`] says it all.
+    #[inline(always)]
+    pub fn imu_is_perfect(&self) -> bool {
+        let plain = self.gyro.effects.is_empty() && self.accel.effects.is_empty();
+        plain && self.jitter.is_none() && self.imu_delivery.is_empty()
+    }
+
+    /// The sample of these true values, rad/s and m/s², but for the converters.
+    #[inline(always)]
+    pub fn perfect_imu(&self, rates: Vec3<f64>, specific_force: Vec3<f64>) -> ImuSample {
+        ImuSample { gyro: self.gyro.convert(rates), accel: self.accel.convert(specific_force) }
+    }
+
+    /// What arrives of gyroscope and accelerometer. Called once a step.
+    #[inline(always)]
+    pub fn imu(&mut self, at: &Moment) -> Option<ImuSample> {
+        let mut arrived = None;
+        if !OPTIONAL || (self.jitter.is_none() && self.imu_delivery.is_empty()) {
+            arrived = Some(self.imu_at(at));
+        } else {
+            self.imu_delivered(at, &mut arrived);
+        }
+        arrived
+    }
+
+    /// What arrives of the magnetometer. Called when it takes a sample.
+    #[inline(always)]
+    pub fn mag(&mut self, at: &Moment) -> Option<MagSample> {
+        let field = at.state.attitude.to_matrix().transpose() * self.field_ut;
+        let sample = MagSample { counts: self.mag.sample(field, at) };
+        if !OPTIONAL || self.mag_delivery.is_empty() {
+            Some(sample)
+        } else {
+            deliver(&mut self.mag_delivery, Some(sample))
+        }
+    }
+
+    #[inline(always)]
+    fn imu_at(&mut self, at: &Moment) -> ImuSample {
+        ImuSample {
+            gyro: self.gyro.sample(at.state.rates, at),
+            accel: self.accel.sample(at.specific_force, at),
+        }
+    }
+
+    /// Out of the way of scenes that name none of this: handing samples from effect to effect through memory
+    /// would cost them more than their noise does.
+    #[inline(never)]
+    fn imu_delivered(&mut self, at: &Moment, arrived: &mut Option<ImuSample>) {
+        let sample = match &mut self.jitter {
+            None => self.imu_at(at),
+            Some(jitter) => {
+                let (state, specific_force, time_s) = jitter.displaced(at);
+                self.imu_at(&Moment { time_s, state: &state, specific_force, ..*at })
+            }
+        };
+        *arrived = deliver(&mut self.imu_delivery, Some(sample));
+    }
+}
+
+/// What is left of a sample, or of its absence, behind these effects.
+#[inline(never)]
+pub fn deliver<T>(effects: &mut [BoxedDelivery<T>], mut sample: Option<T>) -> Option<T> {
+    // To the end even when nothing is left: every effect counts its steps.
+    for effect in effects {
+        sample = effect.step(sample);
+    }
+    sample
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::effects::sensor::testing::at_rest;
 
     const GYRO: Converter = Converter { per_count: 1e-3 };
 
@@ -103,41 +177,10 @@ mod tests {
     fn without_effects_only_the_converter_acts() {
         let mut sensor = Sensor::new(vec![], GYRO);
         let truth = vec3(0.123_456, -1.0, 40.0);
-        assert_eq!(sensor.measure(truth), truth);
-        assert_eq!(sensor.sample(truth), [123, -1000, i16::MAX]);
-        assert_eq!(sensor.sample(vec3(-0.000_6, 0.000_4, -40.0)), [-1, 0, i16::MIN]);
-    }
-
-    #[test]
-    fn white_noise_has_the_density_that_went_in_at_any_rate() {
-        for rate_hz in [100.0, 1000.0] {
-            let n = vec3(0.032, 0.02, 0.01);
-            let noise = SensorEffect::white_noise(n, 1.0 / rate_hz, 3, "test");
-            let mut sensor = Sensor::new(vec![noise], GYRO);
-            // The mean over T seconds has the variance N²/T: 20,000 means of 0.1 s.
-            let (batches, length) = (20_000, (0.1 * rate_hz) as u32);
-            let mut sums = Vec3::ZERO;
-            for _ in 0..batches {
-                let mut mean = Vec3::ZERO;
-                for _ in 0..length {
-                    mean += sensor.measure(Vec3::ZERO) * (1.0 / f64::from(length));
-                }
-                sums += mean.scale_by(mean);
-            }
-            for (sum, n) in <[f64; 3]>::from(sums).into_iter().zip(<[f64; 3]>::from(n)) {
-                let got = libm::sqrt(sum / f64::from(batches) * 0.1);
-                // Five standard errors of a deviation from 20,000 draws: 5/√40,000.
-                assert!((got / n - 1.0).abs() < 0.025, "{got} for {n}");
-            }
-        }
-    }
-
-    #[test]
-    fn hard_iron_adds_the_offset_of_eq_17() {
-        let mut sensor = Sensor::new(
-            vec![SensorEffect::HardIron(vec3(0.0, 200.0, 0.0))],
-            Converter { per_count: 1.0 / 30.0 },
-        );
-        assert_eq!(sensor.sample(vec3(25.0, 2.0, 41.0)), [750, 6060, 1230]);
+        at_rest(|at| {
+            assert_eq!(sensor.measure(truth, at), truth);
+            assert_eq!(sensor.sample(truth, at), [123, -1000, i16::MAX]);
+            assert_eq!(sensor.sample(vec3(-0.000_6, 0.000_4, -40.0), at), [-1, 0, i16::MIN]);
+        });
     }
 }

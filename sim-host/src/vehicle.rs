@@ -5,11 +5,14 @@
 //! Euler's equations with a quaternion, and the thrust points where the rotation matrix says:
 //!
 //! ```text
-//!  m a = R (0, 0, −U1) + m g − A v + ground         a: north, east, down
-//!  I ω̇ = (l U2, l U3, U4) − ω × I ω + (q, −p, 0) J_r Ω_r + ground
+//!  m a = R (0, 0, −U1) + m g + ground + effects     a: north, east, down
+//!  I ω̇ = (l U2, l U3, U4) − ω × I ω + ground + effects
 //!  q̇   = ½ q ⊗ (0, ω)
-//!  Ω̇   = (Ω_wanted − Ω)/τ
+//!  Ω̇   = (Ω_wanted − Ω)/τ, or Ω = Ω_wanted
 //! ```
+//!
+//! Drag, the rotors' momentum and lag, and all else that is not in these lines is an effect that a scene
+//! names: see [`crate::effects::vehicle`]. The ground is there wherever the vehicle is free.
 //!
 //! A step is a classical Runge-Kutta step of 4th order in position, velocity, attitude and rate. The rotors'
 //! lag does not depend on them, so the rotor speeds inside a step are known exactly, however short τ is.
@@ -20,6 +23,11 @@ mod ground;
 use flight_core::geometry::{Mat3, Quaternion, Vec3, vec3};
 
 pub use ground::Ground;
+
+use crate::effects::vehicle::{
+    Body, BodyEffect, CommandEffect, Lag, Load, Point, Stage, ThrustEffect, VehicleEffect, WindEffect,
+};
+use crate::effects::{Moment, OPTIONAL};
 
 /// Standard gravity, m/s².
 pub const GRAVITY: f64 = 9.80665;
@@ -63,15 +71,6 @@ impl VehicleParams {
     pub fn max_thrust_n(&self) -> f64 {
         4.0 * self.thrust_coefficient * self.max_rad_s * self.max_rad_s
     }
-}
-
-/// A force or torque on the body that a scene calls for.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum BodyEffect {
-    /// A of eqs 11-13: force −A v, per world axis, kg/s.
-    LinearDrag(Vec3<f64>),
-    /// J_r of eqs 8-9: torque (q, −p, 0) J_r Ω_r of the spinning rotors. J_r in kg·m².
-    RotorGyroscopic(f64),
 }
 
 /// How the vehicle is held.
@@ -136,33 +135,43 @@ struct Slope {
 }
 
 /// The vehicle and its state.
-#[derive(Clone, Debug)]
 pub struct Vehicle {
     params: VehicleParams,
     mount: Mount,
-    effects: Vec<BodyEffect>,
-    /// exp(−h/2τ) for a half step and its square for a whole one; both 0 without lag.
-    lag_half: f64,
+    commands: Vec<Box<dyn CommandEffect>>,
+    lag: Option<Lag>,
+    winds: Vec<Box<dyn WindEffect>>,
+    thrusts: Vec<Box<dyn ThrustEffect>>,
+    bodies: Vec<Body>,
     step_s: f64,
+    time_s: f64,
     state: State,
     rotors: [f64; 4],
     wanted: [f64; 4],
+    /// Whether there is an effect on thrust or body.
+    affected_in_flight: bool,
+    /// Velocity of the air in this step, m/s, north, east, down.
+    wind: Vec3<f64>,
     /// Slope at the present state, for the sensors and the next step.
     slope: Slope,
-    /// Precomputed: b, l b/√2, 1/m, 1/I.
-    tilt_lever: f64,
+    /// Whether the loads jump with a command: see [`BodyEffect::follows_command_at_once`].
+    jumps: bool,
+    /// Whether something has changed since `slope` that the next step starts with.
+    stale: bool,
+    /// l sin(π/4): lever of a rotor in roll and pitch, m.
+    lever_m: f64,
+    /// d/b: reaction torque of a rotor to its thrust, m.
+    torque_per_thrust: f64,
     per_mass: f64,
     per_inertia: Vec3<f64>,
 }
 
 impl Vehicle {
-    /// A vehicle at rest: on the ground, or level on its ball joint. `motor_lag_s` is the rotors' time
-    /// constant, `step_s` the length of a step.
+    /// A vehicle at rest: on the ground, or level on its ball joint. `step_s` is the length of a step.
     pub fn at_rest(
         params: VehicleParams,
         mount: Mount,
-        effects: Vec<BodyEffect>,
-        motor_lag_s: Option<f64>,
+        effects: Vec<(&'static str, VehicleEffect)>,
         step_s: f64,
     ) -> Self {
         let down = match mount {
@@ -172,9 +181,13 @@ impl Vehicle {
         let mut vehicle = Self {
             params,
             mount,
-            effects,
-            lag_half: motor_lag_s.map_or(0.0, |tau_s| libm::exp(-0.5 * step_s / tau_s)),
+            commands: Vec::new(),
+            lag: None,
+            winds: Vec::new(),
+            thrusts: Vec::new(),
+            bodies: Vec::new(),
             step_s,
+            time_s: 0.0,
             state: State {
                 position: vec3(0.0, 0.0, down),
                 velocity: Vec3::ZERO,
@@ -183,13 +196,18 @@ impl Vehicle {
             },
             rotors: [0.0; 4],
             wanted: [0.0; 4],
+            affected_in_flight: false,
+            wind: Vec3::ZERO,
             slope: Slope {
                 velocity: Vec3::ZERO,
                 acceleration: Vec3::ZERO,
                 attitude: Quaternion::new(0.0, 0.0, 0.0, 0.0),
                 angular_acceleration: Vec3::ZERO,
             },
-            tilt_lever: params.arm_m * params.thrust_coefficient * std::f64::consts::FRAC_1_SQRT_2,
+            jumps: false,
+            stale: false,
+            lever_m: params.arm_m * std::f64::consts::FRAC_1_SQRT_2,
+            torque_per_thrust: params.torque_coefficient / params.thrust_coefficient,
             per_mass: 1.0 / params.mass_kg,
             per_inertia: vec3(
                 1.0 / params.inertia_kg_m2.x,
@@ -197,7 +215,19 @@ impl Vehicle {
                 1.0 / params.inertia_kg_m2.z,
             ),
         };
-        vehicle.slope = vehicle.slope_at(&vehicle.state, &vehicle.rotors);
+        for (_, effect) in effects {
+            match effect {
+                VehicleEffect::Command(effect) => vehicle.commands.push(effect),
+                VehicleEffect::Lag(lag) => vehicle.lag = Some(lag),
+                VehicleEffect::Wind(effect) => vehicle.winds.push(effect),
+                VehicleEffect::Thrust(effect) => vehicle.thrusts.push(effect),
+                VehicleEffect::Body(effect) => vehicle.bodies.push(effect),
+            }
+        }
+        vehicle.affected_in_flight = !(vehicle.thrusts.is_empty() && vehicle.bodies.is_empty());
+        vehicle.jumps = vehicle.bodies.iter().any(|effect| effect.follows_command_at_once());
+        vehicle.blow();
+        vehicle.slope = vehicle.slope_now();
         vehicle
     }
 
@@ -211,7 +241,7 @@ impl Vehicle {
     pub fn set_state(&mut self, state: State, rotors: [f64; 4]) {
         self.state = state;
         self.rotors = rotors;
-        self.slope = self.slope_at(&self.state, &self.rotors);
+        self.slope = self.slope_now();
     }
 
     /// Rotor speeds, rad/s.
@@ -252,22 +282,51 @@ impl Vehicle {
         self.mount == Mount::BallJoint
     }
 
+    /// Terminal voltage of the battery, V, if the scene has one.
+    #[inline(always)]
+    pub fn battery_v(&self) -> Option<f64> {
+        self.commands.iter().find_map(|effect| effect.battery_v())
+    }
+
+    /// The truth now, for sensors and effects.
+    #[inline(always)]
+    pub fn moment(&self) -> Moment<'_> {
+        Moment {
+            time_s: self.time_s,
+            state: &self.state,
+            specific_force: self.specific_force(),
+            angular_acceleration: self.slope.angular_acceleration,
+            rotors: self.rotors,
+        }
+    }
+
     /// Sets the speeds that the ESCs ask of the rotors, rad/s.
     #[inline]
-    pub fn command(&mut self, wanted: [f64; 4]) {
-        self.wanted = wanted;
-        if self.lag_half == 0.0 {
-            self.rotors = wanted;
-            self.slope = self.slope_at(&self.state, &self.rotors);
+    pub fn command(&mut self, mut wanted: [f64; 4]) {
+        if OPTIONAL && !self.commands.is_empty() {
+            let mut effects = std::mem::take(&mut self.commands);
+            let at = self.moment();
+            effects.iter_mut().for_each(|effect| effect.apply(&mut wanted, &at));
+            self.commands = effects;
         }
+        self.wanted = wanted;
+        if !OPTIONAL || self.lag.is_none() {
+            self.rotors = wanted;
+            self.slope = self.slope_now();
+        }
+        self.stale |= OPTIONAL && self.jumps;
     }
 
     /// Moves on by one step.
     #[inline]
     pub fn advance(&mut self) {
+        if OPTIONAL && self.stale {
+            self.stale = false;
+            self.slope = self.slope_now();
+        }
         let h = self.step_s;
-        let middle = self.lagged(self.lag_half);
-        let end = self.lagged(self.lag_half * self.lag_half);
+        let middle = self.rotors_at(Point::Middle);
+        let end = self.rotors_at(Point::End);
         let at = self.state;
 
         let k1 = self.slope;
@@ -287,51 +346,57 @@ impl Vehicle {
             rates: at.rates + mean(|k| k.angular_acceleration),
         };
         self.rotors = end;
-        self.slope = self.slope_at(&self.state, &self.rotors);
+        self.time_s += h;
+        if OPTIONAL && !self.winds.is_empty() {
+            self.blow();
+        }
+        self.slope = self.slope_at(&self.state, &end);
     }
 
-    /// Rotor speeds after a time in which the lag has decayed to `left`.
+    /// The air's velocity from here on. The slope that follows is that of the new wind.
+    fn blow(&mut self) {
+        let mut effects = std::mem::take(&mut self.winds);
+        let at = self.moment();
+        self.wind = effects.iter_mut().fold(Vec3::ZERO, |sum, effect| sum + effect.velocity(&at));
+        self.winds = effects;
+    }
+
     #[inline(always)]
-    fn lagged(&self, left: f64) -> [f64; 4] {
+    fn rotors_at(&self, point: Point) -> [f64; 4] {
         let mut rotors = self.rotors;
-        for (rotor, wanted) in rotors.iter_mut().zip(self.wanted) {
-            *rotor = wanted + (*rotor - wanted) * left;
+        if let Some(lag) = &self.lag
+            && OPTIONAL
+        {
+            for (rotor, wanted) in rotors.iter_mut().zip(self.wanted) {
+                *rotor = lag.at(point, *rotor, wanted);
+            }
         }
         rotors
+    }
+
+    fn slope_now(&self) -> Slope {
+        self.slope_at(&self.state, &self.rotors)
     }
 
     #[inline(always)]
     fn slope_at(&self, state: &State, rotors: &[f64; 4]) -> Slope {
         let p = &self.params;
-        let [s1, s2, s3, s4] = rotors.map(|speed| speed * speed);
         let matrix = state.attitude.to_matrix();
-        let thrust = p.thrust_coefficient * (s1 + s2 + s3 + s4);
-        let mut force = thrust_direction(&matrix) * -thrust;
-        let mut torque = vec3(
-            self.tilt_lever * (s1 - s2 - s3 + s4),
-            self.tilt_lever * (s1 + s2 - s3 - s4),
-            p.torque_coefficient * (s1 - s2 + s3 - s4),
-        ) - state.rates.cross(state.rates.scale_by(p.inertia_kg_m2));
-
-        for effect in &self.effects {
-            match effect {
-                BodyEffect::LinearDrag(a) => force = force - a.scale_by(state.velocity),
-                BodyEffect::RotorGyroscopic(j) => {
-                    let [w1, w2, w3, w4] = *rotors;
-                    let h = j * (w1 - w2 + w3 - w4); // J_r Ω_r, eq 14
-                    torque += vec3(state.rates.y * h, -state.rates.x * h, 0.0);
-                }
-            }
-        }
+        let thrusts = rotors.map(|speed| p.thrust_coefficient * (speed * speed));
+        let mut load = if OPTIONAL && self.affected_in_flight {
+            self.affected(state, &matrix, rotors, thrusts)
+        } else {
+            self.load(state, &matrix, thrusts, thrusts)
+        };
         let acceleration = match &self.mount {
             Mount::BallJoint => Vec3::ZERO,
             Mount::Free(ground) => {
                 if ground.is_near(p, state) {
                     let contact = ground.contact(p, state, &matrix);
-                    force += contact.force;
-                    torque += contact.torque;
+                    load.force += contact.force;
+                    load.torque += contact.torque;
                 }
-                force * self.per_mass + vec3(0.0, 0.0, GRAVITY)
+                load.force * self.per_mass + vec3(0.0, 0.0, GRAVITY)
             }
         };
         let Vec3 { x: p_rate, y: q_rate, z: r_rate } = state.rates * 0.5;
@@ -345,8 +410,53 @@ impl Vehicle {
                 w * q_rate + z * p_rate - x * r_rate,
                 w * r_rate + x * q_rate - y * p_rate,
             ),
-            angular_acceleration: torque.scale_by(self.per_inertia),
+            angular_acceleration: load.torque.scale_by(self.per_inertia),
         }
+    }
+}
+
+impl Vehicle {
+    /// What rotors with these thrusts do to the body, and its own turning. The reaction torque is that of the
+    /// propellers' own drag, in proportion to the thrusts that no effect has changed.
+    #[inline(always)]
+    fn load(&self, state: &State, matrix: &Mat3<f64>, thrusts: [f64; 4], unchanged: [f64; 4]) -> Load {
+        let ([t1, t2, t3, t4], [q1, q2, q3, q4]) = (thrusts, unchanged);
+        Load {
+            force: thrust_direction(matrix) * -(t1 + t2 + t3 + t4),
+            torque: vec3(
+                self.lever_m * (t1 - t2 - t3 + t4),
+                self.lever_m * (t1 + t2 - t3 - t4),
+                self.torque_per_thrust * (q1 - q2 + q3 - q4),
+            ) - state.rates.cross(state.rates.scale_by(self.params.inertia_kg_m2)),
+        }
+    }
+
+    /// The same with the effects of the scene. By itself, so that a flight without any does not prepare for
+    /// them.
+    #[inline(never)]
+    fn affected(&self, state: &State, matrix: &Mat3<f64>, rotors: &[f64; 4], unchanged: [f64; 4]) -> Load {
+        let mut rotor_accelerations = [0.0; 4];
+        if let Some(lag) = &self.lag {
+            for (i, acceleration) in rotor_accelerations.iter_mut().enumerate() {
+                *acceleration = lag.acceleration(rotors[i], self.wanted[i]);
+            }
+        }
+        let at = Stage {
+            state,
+            matrix,
+            rotors: *rotors,
+            rotor_accelerations,
+            airspeed: state.velocity - self.wind,
+        };
+        let mut thrusts = unchanged;
+        for effect in &self.thrusts {
+            effect.apply(&mut thrusts, &at);
+        }
+        let mut load = self.load(state, matrix, thrusts, unchanged);
+        for effect in &self.bodies {
+            effect.apply(&mut load, &thrusts, &at);
+        }
+        load
     }
 }
 

@@ -47,13 +47,15 @@ fn cases() -> Vec<Case> {
             "seed = 7",
             "sed = 7",
             "bad.toml:5: unknown field `sed`, expected one of `description`, `duration_s`, `seed`, `vehicle`, \
-             `imu`, `mount`, `aerobatic` (did you mean `seed`?)",
+                 `imu`, `mount`, `aerobatic`, `place` (did you mean `seed`?)",
         ),
         scene(
             "an unknown effect",
             "[effects.gyro.white_noise]",
             "[effects.gyro.whitenoise]",
-            "bad.toml:28: unknown field `whitenoise`, expected `white_noise` (did you mean `white_noise`?)",
+            "bad.toml:28: unknown field `whitenoise`, expected one of `vibration`, `bandwidth`, `g_sensitivity`, \
+             `misalignment`, `scale_factor`, `temperature`, `constant_bias`, `turn_on_bias`, `rate_ramp`, `rate_random_walk`, \
+                 `bias_instability`, `white_noise`, `saturation`, `quantization` (did you mean `white_noise`?)",
         ),
         scene(
             "a negative mass",
@@ -66,8 +68,8 @@ fn cases() -> Vec<Case> {
             "vehicle = \"os4\"",
             "vehicle = { like = \"os4\", mass = 0.65 }",
             "bad.toml:6: scene.vehicle: unknown field `mass`, expected one of `like`, `mass_kg`, `inertia_kg_m2`, \
-             `rotor_inertia_kg_m2`, `arm_m`, `thrust_coefficient_n_s2`, `torque_coefficient_n_m_s2`, \
-             `max_rotor_rad_s`, `leg_m`",
+                 `rotor_inertia_kg_m2`, `arm_m`, `thrust_coefficient_n_s2`, `torque_coefficient_n_m_s2`, \
+                 `max_rotor_rad_s`, `leg_m`",
         ),
         scene(
             "a cutoff above Nyquist",
@@ -107,7 +109,8 @@ fn cases() -> Vec<Case> {
             file: "unused",
             text: String::new(),
             said: "SCENE = hovr: no such file and no built-in scene (did you mean `hover`?) (there are: hover, steps, \
-                   stand-steps, static)",
+                       stand-steps, static, bench-static, windy-landing, hot-day, weak-battery, magnetic-site, \
+                       motor-out, shaky-frame, bad-link, rough-sampling, whole-drive)",
         },
         Case {
             what: "a duration that leaves no time to land",
@@ -258,7 +261,7 @@ fn sense_counts_its_samples_and_writes_the_same_file_twice() {
 fn scenes_lists_effects() {
     let scenes = json(&["scenes", "--json"]);
     let list = scenes["scenes"].as_array().unwrap();
-    assert_eq!(list.len(), 4);
+    assert_eq!(list.len(), 14);
     assert_eq!(list[3]["name"], "static");
     assert_eq!(list[3]["effects"].as_array().unwrap().len(), 4);
 }

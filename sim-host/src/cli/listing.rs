@@ -1,12 +1,13 @@
-//! The command `scenes`.
+//! The commands `scenes` and `plan`: what there is, and what runs.
 
 use std::fmt::Write as _;
 
 use serde_json::json;
 use sim_host::input_error::InputError;
+use sim_host::plan;
 use sim_host::scene::{BUILT_IN, Scene};
 
-use super::Answer;
+use super::{Answer, PlanArguments, load};
 
 pub fn scenes() -> Result<Answer, InputError> {
     let mut list = Vec::new();
@@ -24,4 +25,21 @@ pub fn scenes() -> Result<Answer, InputError> {
         }));
     }
     Ok(Answer { json: json!({ "scenes": list }), text, failed: false })
+}
+
+pub fn plan(arguments: &PlanArguments) -> Result<Answer, InputError> {
+    let scene = load(&arguments.scene, None, None)?;
+    let costs = plan::measure(&scene);
+    let left_out = scene.left_out();
+    let mut text =
+        format!("{}: {}\n\n  in this order               ns per step\n", scene.name, scene.description);
+    for cost in &costs {
+        writeln!(text, "  {:<28}{:>11.1}", cost.name, cost.ns_per_step).expect("a String takes everything");
+    }
+    let total: f64 = costs.iter().map(|cost| cost.ns_per_step).sum();
+    write!(text, "  {:<28}{total:>11.1}\n\n  left out: {}", "together", left_out.join(", "))
+        .expect("a String takes everything");
+    let effects: Vec<_> =
+        costs.iter().map(|cost| json!({ "name": cost.name, "ns_per_step": cost.ns_per_step })).collect();
+    Ok(Answer { json: json!({ "effects": effects, "left_out": left_out }), text, failed: false })
 }

@@ -39,6 +39,8 @@ enum Command {
     Sense(SenseArguments),
     /// Run the flight code's estimators over a recorded log
     Estimate(EstimateArguments),
+    /// Show what a scene simulates, in order, what it leaves out, and what each effect costs
+    Plan(PlanArguments),
     /// List the built-in scenes and their effects
     Scenes,
 }
@@ -81,6 +83,12 @@ struct SenseArguments {
     /// Samples per second
     #[arg(long, value_name = "R", default_value_t = sim_host::scene::DEFAULT_RATE_HZ)]
     rate_hz: u32,
+}
+
+#[derive(clap::Args)]
+struct PlanArguments {
+    /// A built-in scene or a scene file
+    scene: String,
 }
 
 #[derive(clap::Args)]
@@ -153,6 +161,7 @@ pub fn run() -> ExitCode {
         Command::Fly(a) => fly::run(a),
         Command::Sense(a) => recordings::sense(a),
         Command::Estimate(a) => recordings::estimate(a),
+        Command::Plan(a) => listing::plan(a),
         Command::Scenes => listing::scenes(),
     };
     match answer {

@@ -16,4 +16,19 @@ macro_rules! scenes {
 }
 
 /// All of them, the default first.
-pub const BUILT_IN: &[BuiltIn] = scenes!["hover", "steps", "stand-steps", "static"];
+pub const BUILT_IN: &[BuiltIn] = scenes![
+    "hover",
+    "steps",
+    "stand-steps",
+    "static",
+    "bench-static",
+    "windy-landing",
+    "hot-day",
+    "weak-battery",
+    "magnetic-site",
+    "motor-out",
+    "shaky-frame",
+    "bad-link",
+    "rough-sampling",
+    "whole-drive",
+];

@@ -1,23 +1,9 @@
 //! Checks that end in one clear line.
 
-use serde::de::DeserializeOwned;
-
 use crate::input_error::InputError;
 
-/// Reads TOML; an error carries the line.
-pub(super) fn from_toml<T: DeserializeOwned>(name: &str, text: &str) -> Result<T, InputError> {
-    toml::from_str(text).map_err(|error| {
-        let message = with_suggestion(&error.message().split_whitespace().collect::<Vec<_>>().join(" "));
-        let said = InputError::new(message).file(name);
-        match error.span() {
-            Some(span) => said.line(1 + text[..span.start.min(text.len())].matches('\n').count() as u64),
-            None => said,
-        }
-    })
-}
-
 /// Adds the nearest valid name to "unknown field `x`, expected one of `a`, `b`".
-fn with_suggestion(message: &str) -> String {
+pub(super) fn with_suggestion(message: &str) -> String {
     let quoted: Vec<&str> = message.split('`').skip(1).step_by(2).collect();
     match quoted.as_slice() {
         [wrong, valid @ ..] if message.starts_with("unknown") => {
@@ -37,13 +23,14 @@ pub(super) fn nearest<'a>(wrong: &str, valid: impl Iterator<Item = &'a str>) -> 
 }
 
 /// The error for a name that is none of `valid`.
-pub(super) fn unknown<const N: usize>(field: &str, value: &str, valid: [&str; N]) -> InputError {
-    let near = nearest(value, valid.into_iter());
+pub(super) fn unknown<'a>(field: &str, value: &str, valid: impl IntoIterator<Item = &'a str>) -> InputError {
+    let valid: Vec<&str> = valid.into_iter().collect();
+    let near = nearest(value, valid.iter().copied());
     InputError::new(format!("must be one of {}{near}", valid.join(", "))).field(field).value(value)
 }
 
 /// Whether `minimum ≤ value ≤ maximum`.
-pub(super) fn within(
+pub(crate) fn within(
     field: &str,
     value: f64,
     minimum: f64,
@@ -54,6 +41,30 @@ pub(super) fn within(
         return Ok(());
     }
     Err(InputError::new(format!("must be from {minimum} to {maximum} {unit}")).field(field).value(value))
+}
+
+/// [`within`] for the key of an effect's table.
+pub(crate) fn one(
+    table: &str,
+    key: &str,
+    value: f64,
+    minimum: f64,
+    maximum: f64,
+    unit: &str,
+) -> Result<(), InputError> {
+    within(&format!("{table}.{key}"), value, minimum, maximum, unit)
+}
+
+/// [`one`] for every entry of an array.
+pub(crate) fn each(
+    table: &str,
+    key: &str,
+    values: impl IntoIterator<Item = f64>,
+    minimum: f64,
+    maximum: f64,
+    unit: &str,
+) -> Result<(), InputError> {
+    values.into_iter().try_for_each(|value| one(table, key, value, minimum, maximum, unit))
 }
 
 /// Whether `minimum < value < maximum`.

@@ -4,20 +4,27 @@ use flight_core::geometry::Vec3;
 use serde::Deserialize;
 
 use super::check::{unknown, within};
+use super::effects::Effects;
+use super::faults::Fault;
+use crate::earth_field::Place;
 use crate::input_error::InputError;
 use crate::pilot::{Base, Move, PilotScript, Plan};
-use crate::sensors::Converter;
 use crate::vehicle::VehicleParams;
 
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct SceneFile {
+    /// A scene that this one alters; already merged when this is read.
+    #[serde(default, rename = "include")]
+    _include: Option<String>,
     pub scene: SceneTable,
     #[serde(default)]
     pub flight: Flight,
     pub pilot: Option<Pilot>,
     #[serde(default)]
     pub effects: Effects,
+    #[serde(default, rename = "fault")]
+    pub faults: Vec<Fault>,
 }
 
 /// `[scene]`
@@ -29,11 +36,33 @@ pub(super) struct SceneTable {
     pub duration_s: f64,
     pub seed: u64,
     pub vehicle: Vehicle,
-    pub imu: String,
+    /// Looked up before this is read: its figures complete the effects.
+    #[serde(rename = "imu")]
+    _imu: String,
     #[serde(default)]
     pub mount: MountName,
     #[serde(default)]
     pub aerobatic: bool,
+    /// Absent: Ankara.
+    pub place: Option<PlaceTable>,
+}
+
+/// `[scene.place]`: where the Earth's magnetic field is that of.
+#[derive(Clone, Copy, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct PlaceTable {
+    latitude_deg: f64,
+    longitude_deg: f64,
+    #[serde(default)]
+    altitude_m: f64,
+    year: Option<f64>,
+}
+
+impl PlaceTable {
+    pub fn build(self) -> Place {
+        let Self { latitude_deg, longitude_deg, altitude_m, year } = self;
+        Place { latitude_deg, longitude_deg, altitude_m, year: year.unwrap_or(Place::ANKARA.year) }
+    }
 }
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
@@ -127,13 +156,44 @@ pub(super) struct Flight {
     pub prefilter_hz: Option<f64>,
     /// Added to the magnetic heading, positive east.
     #[serde(default)]
-    pub declination_deg: f64,
+    pub declination_deg: Declination,
     pub calibration: Option<CalibrationTable>,
 }
 
 impl Default for Flight {
     fn default() -> Self {
-        Self { estimator: "flight".into(), prefilter_hz: Some(30.0), declination_deg: 0.0, calibration: None }
+        Self {
+            estimator: "flight".into(),
+            prefilter_hz: Some(30.0),
+            declination_deg: Declination::default(),
+            calibration: None,
+        }
+    }
+}
+
+/// `declination_deg = 6.175`, or `"model"` for that of the scene's place.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(try_from = "toml::Value")]
+pub(super) enum Declination {
+    Given(f64),
+    Model,
+}
+
+impl Default for Declination {
+    fn default() -> Self {
+        Self::Given(0.0)
+    }
+}
+
+impl TryFrom<toml::Value> for Declination {
+    type Error = &'static str;
+    fn try_from(value: toml::Value) -> Result<Self, Self::Error> {
+        match value {
+            toml::Value::Float(degrees) => Ok(Self::Given(degrees)),
+            toml::Value::Integer(degrees) => Ok(Self::Given(degrees as f64)),
+            toml::Value::String(name) if name == "model" => Ok(Self::Model),
+            _ => Err("flight.declination_deg: must be a number of degrees or \"model\""),
+        }
     }
 }
 
@@ -256,195 +316,4 @@ impl Pilot {
 
 fn missing(field: &str, with: &str) -> InputError {
     InputError::new(format!("is missing: {with} needs it")).field(field)
-}
-
-/// `[effects.…]`: what is named is simulated, nothing else.
-#[derive(Clone, Debug, Default, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub(super) struct Effects {
-    #[serde(default)]
-    pub vehicle: VehicleEffects,
-    #[serde(default)]
-    pub gyro: GyroEffects,
-    #[serde(default)]
-    pub accel: AccelEffects,
-    #[serde(default)]
-    pub mag: MagEffects,
-}
-
-#[derive(Clone, Debug, Default, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub(super) struct VehicleEffects {
-    pub linear_drag: Option<LinearDrag>,
-    pub rotor_gyroscopic: Option<RotorGyroscopic>,
-    pub motor_lag: Option<MotorLag>,
-}
-
-/// A of eqs 11-13, north, east, down.
-#[derive(Clone, Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub(super) struct LinearDrag {
-    pub a_kg_per_s: [f64; 3],
-}
-
-/// J_r of eqs 8-9: the vehicle's own.
-#[derive(Clone, Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub(super) struct RotorGyroscopic {}
-
-/// First-order lag of the rotor speeds.
-#[derive(Clone, Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub(super) struct MotorLag {
-    pub tau_s: f64,
-}
-
-#[derive(Clone, Debug, Default, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub(super) struct GyroEffects {
-    pub white_noise: Option<GyroWhiteNoise>,
-}
-
-/// Angle random walk N of eq 16; without a figure, the preset's.
-#[derive(Clone, Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub(super) struct GyroWhiteNoise {
-    pub n_deg_per_sqrt_h: Option<[f64; 3]>,
-}
-
-#[derive(Clone, Debug, Default, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub(super) struct AccelEffects {
-    pub white_noise: Option<AccelWhiteNoise>,
-}
-
-/// Velocity random walk N of eq 16; without a figure, the preset's.
-#[derive(Clone, Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub(super) struct AccelWhiteNoise {
-    pub n_m_s2_per_sqrt_hz: Option<[f64; 3]>,
-}
-
-#[derive(Clone, Debug, Default, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub(super) struct MagEffects {
-    pub hard_iron: Option<HardIron>,
-    pub white_noise: Option<MagWhiteNoise>,
-}
-
-/// Field that turns with the vehicle (eq 17's +200 µT on y).
-#[derive(Clone, Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub(super) struct HardIron {
-    pub field_ut: [f64; 3],
-}
-
-/// A of eq 17, as a density so that the rate does not change it; without a figure, the preset's.
-#[derive(Clone, Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub(super) struct MagWhiteNoise {
-    pub n_ut_per_sqrt_hz: Option<[f64; 3]>,
-}
-
-impl Effects {
-    pub fn names(&self) -> Vec<&'static str> {
-        [
-            ("vehicle.motor_lag", self.vehicle.motor_lag.is_some()),
-            ("vehicle.linear_drag", self.vehicle.linear_drag.is_some()),
-            ("vehicle.rotor_gyroscopic", self.vehicle.rotor_gyroscopic.is_some()),
-            ("gyro.white_noise", self.gyro.white_noise.is_some()),
-            ("accel.white_noise", self.accel.white_noise.is_some()),
-            ("mag.hard_iron", self.mag.hard_iron.is_some()),
-            ("mag.white_noise", self.mag.white_noise.is_some()),
-        ]
-        .into_iter()
-        .filter_map(|(name, named)| named.then_some(name))
-        .collect()
-    }
-
-    pub fn validate(&self) -> Result<(), InputError> {
-        let each = |field: &str, values: Option<[f64; 3]>, low: f64, high: f64, unit: &str| {
-            values.into_iter().flatten().try_for_each(|value| within(field, value, low, high, unit))
-        };
-        let v = &self.vehicle;
-        each(
-            "effects.vehicle.linear_drag.a_kg_per_s",
-            v.linear_drag.as_ref().map(|e| e.a_kg_per_s),
-            0.0,
-            1e3,
-            "kg/s",
-        )?;
-        if let Some(lag) = &v.motor_lag {
-            within("effects.vehicle.motor_lag.tau_s", lag.tau_s, 1e-5, 10.0, "s")?;
-        }
-        each(
-            "effects.gyro.white_noise.n_deg_per_sqrt_h",
-            self.gyro.white_noise.as_ref().and_then(|e| e.n_deg_per_sqrt_h),
-            0.0,
-            1e3,
-            "deg/√h",
-        )?;
-        each(
-            "effects.accel.white_noise.n_m_s2_per_sqrt_hz",
-            self.accel.white_noise.as_ref().and_then(|e| e.n_m_s2_per_sqrt_hz),
-            0.0,
-            10.0,
-            "m/s²/√Hz",
-        )?;
-        each(
-            "effects.mag.hard_iron.field_ut",
-            self.mag.hard_iron.as_ref().map(|e| e.field_ut),
-            -1e4,
-            1e4,
-            "µT",
-        )?;
-        each(
-            "effects.mag.white_noise.n_ut_per_sqrt_hz",
-            self.mag.white_noise.as_ref().and_then(|e| e.n_ut_per_sqrt_hz),
-            0.0,
-            100.0,
-            "µT/√Hz",
-        )
-    }
-}
-
-/// A sensor board: the figures that a scene's effects take when they name none, and the converters.
-#[derive(Clone, Debug)]
-pub(super) struct ImuPreset {
-    pub gyro_n_deg_per_sqrt_h: [f64; 3],
-    pub accel_n_m_s2_per_sqrt_hz: [f64; 3],
-    pub mag_n_ut_per_sqrt_hz: [f64; 3],
-    gyro_lsb_per_deg_s: f64,
-    accel_lsb_per_g: f64,
-    mag_lsb_per_gauss: f64,
-}
-
-/// The paper's table 2. It names no chips and gives no magnetometer noise: the converters are those of an
-/// ICM-42688-P (±2,000 °/s and ±16 g over 16 bits, datasheet DS-000347 tables 1 and 2) and a QMC5883L (±8 G
-/// over 16 bits, its datasheet's table 2), and 0.03 µT/√Hz is our choice: 0.3 µT a sample at 100 Hz.
-const PAPER: ImuPreset = ImuPreset {
-    gyro_n_deg_per_sqrt_h: [1.9368, 1.239, 1.239],
-    accel_n_m_s2_per_sqrt_hz: [0.0012, 0.0012, 0.0014],
-    mag_n_ut_per_sqrt_hz: [0.03; 3],
-    gyro_lsb_per_deg_s: 16.4,
-    accel_lsb_per_g: 2048.0,
-    mag_lsb_per_gauss: 3000.0,
-};
-
-impl ImuPreset {
-    pub fn by_name(name: &str) -> Result<Self, InputError> {
-        match name {
-            "paper" => Ok(PAPER),
-            other => Err(unknown("scene.imu", other, ["paper"])),
-        }
-    }
-
-    /// Gyroscope (rad/s), accelerometer (m/s²), magnetometer (µT; 1 G is 100 µT).
-    pub fn converters(&self) -> [Converter; 3] {
-        [
-            Converter { per_count: std::f64::consts::PI / 180.0 / self.gyro_lsb_per_deg_s },
-            Converter { per_count: crate::vehicle::GRAVITY / self.accel_lsb_per_g },
-            Converter { per_count: 100.0 / self.mag_lsb_per_gauss },
-        ]
-    }
 }

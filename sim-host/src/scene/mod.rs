@@ -1,11 +1,16 @@
 //! What a scene says: a TOML file, read, checked, and turned into the parts of a flight.
 //!
 //! A scene names the vehicle, the sensors, the pilot and the effects. **An effect that it does not name is
-//! not built.** Every key that exists is in [`file`]; anything else is an error that names the nearest one.
+//! not built.** Every key that exists is in `file.rs` and `effects.rs`; anything else is an error that names
+//! the nearest one.
 
 mod built_in;
-mod check;
+pub(crate) mod check;
+mod effects;
+mod faults;
 mod file;
+mod imu;
+mod source;
 
 use std::path::Path;
 
@@ -15,11 +20,21 @@ use flight_core::config::{Config, Params};
 use flight_core::estimator::EstimatorParams;
 use flight_core::geometry::{Mat3, Vec3, vec3};
 use flight_core::mixer::Airframe;
+use flight_core::sample::RcFrame;
 
+use crate::earth_field::{Place, declination_rad};
+use crate::effects::Build;
+use crate::effects::delivery::{BoxedDelivery, ImuEffect, MagEffect};
+use crate::effects::vehicle::VehicleEffect;
 use crate::input_error::InputError;
 use crate::pilot::{Knowledge, PilotScript};
-use crate::sensors::{Converter, SensorEffect};
-use crate::vehicle::{BodyEffect, GRAVITY, Ground, Mount, VehicleParams};
+use crate::sensors::{Converter, Sensor, Sensors};
+use crate::vehicle::{GRAVITY, Ground, Mount, VehicleParams};
+
+use imu::ImuPreset;
+use source::{Sources, complete, merge};
+use toml::Spanned;
+use toml::de::DeValue;
 
 pub use built_in::{BUILT_IN, BuiltIn};
 
@@ -30,8 +45,52 @@ pub const DEFAULT_RATE_HZ: u32 = 1000;
 pub const MAG_RATE_HZ: u32 = 100;
 
 /// The Earth's field at Ankara, north, east, down, µT: WMM2025 at 39.93° N, 32.86° E, 0.9 km, in November
-/// 2026 (declination 6.175° east, inclination 58.19°, 48.18 µT).
+/// 2026 (declination 6.175° east, inclination 58.19°, 48.18 µT), from another implementation than the one
+/// that scenes use.
 pub const FIELD_ANKARA_UT: Vec3<f64> = vec3(25.248, 2.732, 40.940);
+
+/// The scenes that a scene includes, directly or through another, the nearest first.
+struct Included {
+    name: String,
+    text: String,
+}
+
+impl Included {
+    fn of(name: &str, text: &str) -> Result<Vec<Self>, InputError> {
+        let mut list: Vec<Self> = Vec::new();
+        let (mut name, mut text) = (name.to_owned(), text.to_owned());
+        while let Some(next) = source::text_at(&name, &text, "include")? {
+            let found = if let Some(scene) = BUILT_IN.iter().find(|scene| scene.name == next) {
+                Self { name: next, text: scene.text.into() }
+            } else {
+                // Beside the file that includes it.
+                let path = Path::new(&name).with_file_name(&next);
+                let text = std::fs::read_to_string(&path).map_err(|error| {
+                    InputError::new(format!(
+                        "is no built-in scene, and {} cannot be read: {error}",
+                        path.display()
+                    ))
+                    .file(&name)
+                    .field("include")
+                    .value(&next)
+                })?;
+                Self { name: path.display().to_string(), text }
+            };
+            if list.iter().any(|included| included.name == found.name) {
+                return Err(InputError::new("a scene includes itself")
+                    .file(&name)
+                    .field("include")
+                    .value(&found.name));
+            }
+            (name, text) = (found.name.clone(), found.text.clone());
+            list.push(found);
+        }
+        Ok(list)
+    }
+}
+
+/// An effect and its name.
+pub type Named<T> = (&'static str, T);
 
 /// A checked scene.
 #[derive(Clone, Debug)]
@@ -57,8 +116,10 @@ pub struct Scene {
     controller: FlightController,
     /// The sensors' converters: gyro (rad/s), accel (m/s²), mag (µT).
     pub converters: [Converter; 3],
-    effects: file::Effects,
-    preset: file::ImuPreset,
+    /// The Earth's field at the scene's place and date, north, east, down, µT.
+    pub field_ut: Vec3<f64>,
+    effects: effects::Effects,
+    faults: Vec<faults::Fault>,
 }
 
 impl Scene {
@@ -87,22 +148,41 @@ impl Scene {
     }
 
     /// Reads a scene from TOML; `name` is what errors and results call it.
+    ///
+    /// # Errors
+    /// Anything wrong in the text, in the scene it includes or in its sensors' preset.
     pub fn parse(name: &str, text: &str) -> Result<Self, InputError> {
         if text.trim().is_empty() {
             return Err(InputError::new("is empty; a scene needs a [scene] table").file(name));
         }
-        let file: file::SceneFile = check::from_toml(name, text)?;
-        Self::build(name, file).map_err(|error| error.file(name))
+        let below = Included::of(name, text)?;
+        // Declared before the sources that borrow them.
+        let (preset_name, preset_text);
+        let mut sources = Sources::default();
+        let mut table = sources.add(name, text)?;
+        for included in &below {
+            let under = sources.add(&included.name, &included.text)?;
+            table = merge(table, under);
+        }
+        let imu = imu::name_in(&table).unwrap_or_default();
+        (preset_name, preset_text) = imu::find(&imu, Path::new(name))?;
+        let (preset, figures) = ImuPreset::read(&mut sources, &preset_name, &preset_text)?;
+        if let Some(DeValue::Table(effects)) = table.get_mut("effects").map(Spanned::get_mut) {
+            complete(effects, &figures);
+        }
+        let file: file::SceneFile = sources.read(table)?;
+        Self::build(name, file, &preset).map_err(|error| error.file(name))
     }
 
-    fn build(name: &str, file: file::SceneFile) -> Result<Self, InputError> {
-        let file::SceneFile { scene, flight, pilot, effects } = file;
+    fn build(name: &str, file: file::SceneFile, preset: &ImuPreset) -> Result<Self, InputError> {
+        let file::SceneFile { scene, flight, pilot, effects, faults, .. } = file;
         let vehicle = scene.vehicle.build()?;
-        let preset = file::ImuPreset::by_name(&scene.imu)?;
         effects.validate()?;
+        faults.iter().try_for_each(faults::Fault::validate)?;
+        let field_ut = scene.place.map_or(Place::ANKARA, file::PlaceTable::build).field_ut()?;
         let ball_joint = scene.mount == file::MountName::BallJoint;
         let pilot = pilot.map(|p| p.build(ball_joint)).transpose()?;
-        let config = flight.build(&vehicle, &preset)?;
+        let config = flight.build(&vehicle, preset, field_ut)?;
         let controller =
             FlightController::new(&config).map_err(|e| InputError::new(e.to_string()).field("flight"))?;
         let mut built = Self {
@@ -117,8 +197,9 @@ impl Scene {
             config,
             controller,
             converters: preset.converters(),
+            field_ut,
             effects,
-            preset,
+            faults,
         };
         built.set_duration(scene.duration_s)?;
         Ok(built)
@@ -149,7 +230,22 @@ impl Scene {
 
     /// The names of the effects that the scene calls for, in the order in which they apply.
     pub fn effects(&self) -> Vec<&'static str> {
-        self.effects.names()
+        self.named().filter_map(|(name, named)| named.then_some(name)).collect()
+    }
+
+    /// The same scene without one of its effects; `None` if it does not name it.
+    pub fn without(&self, effect: &str) -> Option<Self> {
+        let mut scene = self.clone();
+        scene.effects.leave_out(effect).then_some(scene)
+    }
+
+    /// The effects that there are and the scene does not name.
+    pub fn left_out(&self) -> Vec<&'static str> {
+        self.named().filter_map(|(name, named)| (!named).then_some(name)).collect()
+    }
+
+    fn named(&self) -> impl Iterator<Item = (&'static str, bool)> {
+        self.effects.named().into_iter().chain(faults::named(&self.faults))
     }
 
     /// How the vehicle is held.
@@ -157,60 +253,81 @@ impl Scene {
         if self.ball_joint { Mount::BallJoint } else { Mount::Free(Ground::new(&self.vehicle)) }
     }
 
-    /// Forces and torques besides thrust, gravity and ground.
-    pub fn body_effects(&self) -> Vec<BodyEffect> {
-        let mut list = Vec::new();
-        if let Some(drag) = &self.effects.vehicle.linear_drag {
-            list.push(BodyEffect::LinearDrag(drag.a_kg_per_s.into()));
-        }
-        if self.effects.vehicle.rotor_gyroscopic.is_some() {
-            list.push(BodyEffect::RotorGyroscopic(self.vehicle.rotor_inertia_kg_m2));
-        }
+    fn build_at(&self, seed: u64, rate_hz: f64) -> Build<'_> {
+        Build { name: "", seed, rate_hz, duration_s: self.duration_s, vehicle: &self.vehicle }
+    }
+
+    /// The effects on the vehicle, for steps at this rate.
+    pub fn vehicle_effects(&self, seed: u64, rate_hz: f64) -> Vec<(&'static str, VehicleEffect)> {
+        let with = self.build_at(seed, rate_hz);
+        let mut list = self.effects.wind.build(with);
+        list.extend(self.effects.vehicle.build(with));
         list
     }
 
-    /// Time constant of the rotors, s.
-    pub fn motor_lag_s(&self) -> Option<f64> {
-        self.effects.vehicle.motor_lag.as_ref().map(|lag| lag.tau_s)
+    /// The gyroscope with its errors, sampled at this rate.
+    pub fn gyro(&self, seed: u64, rate_hz: f64) -> Sensor {
+        Sensor::new(self.effects.gyro.build(self.build_at(seed, rate_hz)), self.converters[0])
     }
 
-    /// Errors of the gyroscope at this rate, rad/s.
-    pub fn gyro_effects(&self, seed: u64, rate_hz: f64) -> Vec<SensorEffect> {
-        let noise = self.effects.gyro.white_noise.as_ref();
-        noise
-            .map(|noise| {
-                let n = Vec3::from(noise.n_deg_per_sqrt_h.unwrap_or(self.preset.gyro_n_deg_per_sqrt_h));
-                // deg/√h to rad/s/√Hz: π/180, and √h = 60 √s.
-                let n = n * (std::f64::consts::PI / 180.0 / 60.0);
-                SensorEffect::white_noise(n, 1.0 / rate_hz, seed, "gyro.white_noise")
-            })
-            .into_iter()
-            .collect()
+    /// The accelerometer with its errors, sampled at this rate.
+    pub fn accel(&self, seed: u64, rate_hz: f64) -> Sensor {
+        Sensor::new(self.effects.accel.build(self.build_at(seed, rate_hz)), self.converters[1])
     }
 
-    /// Errors of the accelerometer at this rate, m/s².
-    pub fn accel_effects(&self, seed: u64, rate_hz: f64) -> Vec<SensorEffect> {
-        let noise = self.effects.accel.white_noise.as_ref();
-        noise
-            .map(|noise| {
-                let n = Vec3::from(noise.n_m_s2_per_sqrt_hz.unwrap_or(self.preset.accel_n_m_s2_per_sqrt_hz));
-                SensorEffect::white_noise(n, 1.0 / rate_hz, seed, "accel.white_noise")
-            })
-            .into_iter()
-            .collect()
+    /// The magnetometer with its errors, sampled at this rate.
+    pub fn mag(&self, seed: u64, rate_hz: f64) -> Sensor {
+        let readings = self.effects.mag.build(self.build_at(seed, rate_hz)).into_iter();
+        let readings = readings.filter_map(|(name, effect)| match effect {
+            MagEffect::Reading(effect) => Some((name, effect)),
+            MagEffect::Delivery(_) => None,
+        });
+        Sensor::new(readings.collect(), self.converters[2])
     }
 
-    /// Errors of the magnetometer at this rate, µT.
-    pub fn mag_effects(&self, seed: u64, rate_hz: f64) -> Vec<SensorEffect> {
-        let mut list = Vec::new();
-        if let Some(iron) = &self.effects.mag.hard_iron {
-            list.push(SensorEffect::HardIron(iron.field_ut.into()));
+    /// All sensors with their errors and what befalls their samples, gyroscope and accelerometer sampled at
+    /// `rate_hz`, the magnetometer at `mag_rate_hz`.
+    pub fn sensors(&self, seed: u64, rate_hz: f64, mag_rate_hz: f64) -> Sensors {
+        let mut sensors = Sensors {
+            gyro: self.gyro(seed, rate_hz),
+            accel: self.accel(seed, rate_hz),
+            mag: self.mag(seed, mag_rate_hz),
+            field_ut: self.field_ut,
+            jitter: None,
+            imu_delivery: Vec::new(),
+            mag_delivery: Vec::new(),
+        };
+        for (_, effect) in self.imu_effects(seed, rate_hz) {
+            match effect {
+                ImuEffect::Sampling(jitter) => sensors.jitter = Some(jitter),
+                ImuEffect::Delivery(effect) => sensors.imu_delivery.push(effect),
+            }
         }
-        if let Some(noise) = &self.effects.mag.white_noise {
-            let n = Vec3::from(noise.n_ut_per_sqrt_hz.unwrap_or(self.preset.mag_n_ut_per_sqrt_hz));
-            list.push(SensorEffect::white_noise(n, 1.0 / rate_hz, seed, "mag.white_noise"));
+        for (_, effect) in self.mag_effects(seed, mag_rate_hz) {
+            if let MagEffect::Delivery(effect) = effect {
+                sensors.mag_delivery.push(effect);
+            }
         }
-        list
+        sensors
+    }
+
+    /// What befalls the transmitter's frames, at this many steps a second.
+    pub fn link(&self, seed: u64, rate_hz: f64) -> Vec<Named<BoxedDelivery<RcFrame>>> {
+        self.effects.link.build(self.build_at(seed, rate_hz))
+    }
+
+    /// What befalls the inertial samples, faults first, at this many steps a second.
+    pub fn imu_effects(&self, seed: u64, rate_hz: f64) -> Vec<Named<ImuEffect>> {
+        let faults = faults::on_imu(&self.faults, rate_hz).into_iter();
+        let effects = self.effects.imu.build(self.build_at(seed, rate_hz));
+        faults.map(|(name, effect)| (name, effect.into())).chain(effects).collect()
+    }
+
+    /// What befalls the magnetometer's samples, faults first, at this many of them a second.
+    pub fn mag_effects(&self, seed: u64, rate_hz: f64) -> Vec<Named<MagEffect>> {
+        let faults = faults::on_mag(&self.faults, rate_hz).into_iter();
+        let effects = self.effects.mag.build(self.build_at(seed, rate_hz));
+        faults.map(|(name, effect)| (name, effect.into())).chain(effects).collect()
     }
 
     /// The flight controller, disarmed, at the start of its flight.
@@ -243,7 +360,12 @@ fn airframe(vehicle: &VehicleParams) -> Airframe {
 }
 
 impl file::Flight {
-    fn build(&self, vehicle: &VehicleParams, preset: &file::ImuPreset) -> Result<Config, InputError> {
+    fn build(
+        &self,
+        vehicle: &VehicleParams,
+        preset: &ImuPreset,
+        field_ut: Vec3<f64>,
+    ) -> Result<Config, InputError> {
         let (_, estimator) =
             EstimatorParams::PRESETS.into_iter().find(|(name, _)| *name == self.estimator).ok_or_else(
                 || check::unknown("flight.estimator", &self.estimator, EstimatorParams::PRESETS.map(|p| p.0)),
@@ -253,7 +375,13 @@ impl file::Flight {
             let allowed = "Hz, half the magnetometer's rate";
             check::between("flight.prefilter_hz", cutoff_hz, 0.0, f64::from(MAG_RATE_HZ) / 2.0, allowed)?;
         }
-        check::within("flight.declination_deg", self.declination_deg, -180.0, 180.0, "deg")?;
+        let declination_rad = match self.declination_deg {
+            file::Declination::Model => declination_rad(field_ut),
+            file::Declination::Given(degrees) => {
+                check::within("flight.declination_deg", degrees, -180.0, 180.0, "deg")?;
+                degrees.to_radians()
+            }
+        };
         let along_body =
             |c: Converter| Sensitivity { per_count: c.per_count as f32, mounting: Mat3::IDENTITY };
         let [gyro, accel, mag] = preset.converters().map(along_body);
@@ -264,10 +392,7 @@ impl file::Flight {
             accel,
             mag,
             prefilter_cutoff_hz: self.prefilter_hz.map(|hz| hz as f32),
-            estimator: EstimatorParams {
-                declination_rad: self.declination_deg.to_radians() as f32,
-                ..estimator
-            },
+            estimator: EstimatorParams { declination_rad: declination_rad as f32, ..estimator },
             airframe: airframe(vehicle),
             ..Params::default()
         };

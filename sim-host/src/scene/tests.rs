@@ -1,4 +1,7 @@
 use super::*;
+use crate::effects::Moment;
+use crate::effects::sensor::testing::{STATE, at_rest, moment};
+use crate::effects::vehicle::VehicleEffect;
 
 #[test]
 fn every_built_in_scene_reads_and_describes_itself() {
@@ -12,9 +15,39 @@ fn every_built_in_scene_reads_and_describes_itself() {
 fn what_is_not_named_is_not_built() {
     let text = "[scene]\nduration_s = 1.0\nseed = 1\nvehicle = \"os4\"\nimu = \"paper\"\n";
     let scene = Scene::parse("bare", text).unwrap();
-    assert!(scene.effects().is_empty() && scene.body_effects().is_empty() && scene.motor_lag_s().is_none());
-    assert!(scene.gyro_effects(1, 1e3).is_empty() && scene.accel_effects(1, 1e3).is_empty());
-    assert!(scene.mag_effects(1, 1e2).is_empty() && scene.pilot.is_none());
+    assert!(scene.effects().is_empty() && scene.vehicle_effects(1, 1e3).is_empty() && scene.pilot.is_none());
+    let truth = vec3(0.1, 0.2, 0.3);
+    at_rest(|at| {
+        for mut sensor in [scene.gyro(1, 1e3), scene.accel(1, 1e3), scene.mag(1, 1e2)] {
+            assert_eq!(sensor.measure(truth, at), truth);
+        }
+    });
+}
+
+const BARE: &str = "[scene]\nduration_s = 1.0\nseed = 1\nvehicle = \"os4\"\nimu = \"paper\"\n";
+
+#[test]
+fn an_effect_without_figures_takes_the_presets_and_others_stay_unnamed() {
+    let scene = Scene::parse("preset", &format!("{BARE}[effects.gyro.white_noise]\n")).unwrap();
+    assert_eq!(scene.effects(), ["gyro.white_noise"]);
+    let figures = "n_deg_per_sqrt_h = [1.9368, 1.239, 1.239]";
+    let same = Scene::parse("said", &format!("{BARE}[effects.gyro.white_noise]\n{figures}\n")).unwrap();
+    at_rest(|at| {
+        let (mut taken, mut said) = (scene.gyro(1, 1e3), same.gyro(1, 1e3));
+        assert_eq!(taken.measure(Vec3::ZERO, at), said.measure(Vec3::ZERO, at));
+    });
+}
+
+#[test]
+fn a_scene_alters_the_one_it_includes() {
+    let text = "include = \"hover\"\n[scene]\nseed = 99\n[effects.vehicle.motor_lag]\ntau_s = 0.02\n";
+    let (altered, hover) = (Scene::parse("altered", text).unwrap(), Scene::load("hover").unwrap());
+    assert_eq!((altered.seed, altered.duration_s), (99, hover.duration_s));
+    assert_eq!((altered.effects(), &altered.pilot), (hover.effects(), &hover.pilot));
+    let wrong = Scene::parse("wrong", "include = \"hover\"\n[scene]\nsed = 99\n").unwrap_err().to_string();
+    assert!(wrong.starts_with("wrong:3: unknown field `sed`"), "{wrong}");
+    let lost = Scene::parse("lost", "include = \"nowhere.toml\"\n").unwrap_err().to_string();
+    assert!(lost.starts_with("lost: include = nowhere.toml: is no built-in scene"), "{lost}");
 }
 
 #[test]
@@ -50,4 +83,116 @@ fn a_longer_flight_lands_as_long_before_its_end() {
         error,
         "scene.duration_s = 9: must be at least 13 s: take-off 5 s after the start, landing 8 s before the end"
     );
+}
+
+#[test]
+fn presets_are_what_their_datasheets_say() {
+    // One-sided densities in °/s/√Hz and µg/√Hz, or random walks in °/√h and m/s/√h.
+    let two_sided = |density: f64| density / 2.0_f64.sqrt();
+    let gyro = |density: f64| Some(two_sided(density) * 60.0);
+    let accel = |density_ug: f64| Some(two_sided(density_ug * 1e-6 * GRAVITY));
+    for (preset, lsb_per_deg_s, lsb_per_g, gyro, accel) in [
+        ("icm-42688-p", 32768.0 / 2000.0, 32768.0 / 16.0, gyro(0.0028), accel(70.0)),
+        ("mpu-6050", 32768.0 / 2000.0, 32768.0 / 16.0, gyro(0.005), accel(400.0)),
+        ("bmi088", 32768.0 / 2000.0, 32768.0 / 24.0, gyro(0.014), None),
+        ("adis16448", 1.0 / 0.04, 1.0 / 0.000_833, Some(0.66), Some(0.11 / 60.0)),
+    ] {
+        let scene = Scene::parse("preset", &BARE.replace("\"paper\"", &format!("\"{preset}\""))).unwrap();
+        let [rate, force, _] = scene.converters.map(|converter| converter.per_count);
+        // Datasheets give three or four digits.
+        assert!((rate * lsb_per_deg_s / 1_f64.to_radians() - 1.0).abs() < 2e-3, "{preset}");
+        assert!((force * lsb_per_g / GRAVITY - 1.0).abs() < 2e-3, "{preset}");
+        let (_, text) = imu::PRESETS.iter().find(|(name, _)| *name == preset).unwrap();
+        let table: toml::Table = text.parse().unwrap();
+        let figures = |sensor: &str, key: &str| {
+            let noise = table["effects"].get(sensor)?.get("white_noise")?.get(key)?.as_array()?;
+            noise.iter().map(toml::Value::as_float).collect::<Option<Vec<f64>>>()
+        };
+        for (got, wanted) in
+            [(figures("gyro", "n_deg_per_sqrt_h"), gyro), (figures("accel", "n_m_s2_per_sqrt_hz"), accel)]
+        {
+            assert_eq!(got.is_some(), wanted.is_some(), "{preset}");
+            if let (Some(got), Some(wanted)) = (got, wanted) {
+                assert!(
+                    got.iter().all(|n| (n / wanted - 1.0).abs() < 1e-4),
+                    "{preset}: {got:?}, not {wanted}"
+                );
+            }
+        }
+    }
+}
+
+#[test]
+fn the_place_decides_on_the_field_and_the_model_on_the_declination() {
+    let ankara = Scene::parse("ankara", BARE).unwrap();
+    assert!((ankara.field_ut - FIELD_ANKARA_UT).norm() < 0.05);
+    let natick = "[scene.place]\nlatitude_deg = 42.283\nlongitude_deg = -71.35\naltitude_m = 1000.0\nyear = 2028.505\n";
+    let text = format!("{BARE}{natick}[flight]\nestimator = \"flight\"\ndeclination_deg = \"model\"\n");
+    let scene = Scene::parse("natick", &text).unwrap();
+    // The documentation of MATLAB's wrldmagm has −13.6891° there and then.
+    let declination = f64::from(scene.config.params.estimator.declination_rad).to_degrees();
+    assert!((declination + 13.6891).abs() < 0.02, "{declination}");
+    let wrong = text.replace("\"model\"", "\"modell\"");
+    assert!(Scene::parse("wrong", &wrong).unwrap_err().to_string().contains("must be a number of degrees"));
+}
+
+const EVERY_EFFECT: &str = include_str!("../../benches/every_effect.toml");
+
+/// The bare scene with those of [`EVERY_EFFECT`]'s own tables that are asked for.
+fn with_effects(names: &[&str]) -> Scene {
+    let every: toml::Table = EVERY_EFFECT.parse().unwrap();
+    let mut effects = every["effects"].as_table().unwrap().clone();
+    for (group, effects) in &mut effects {
+        let asked_for = |effect: &str| names.contains(&format!("{group}.{effect}").as_str());
+        effects.as_table_mut().unwrap().retain(|effect, _| asked_for(effect));
+    }
+    // As long as the flight that the file includes: the band of flicker depends on it.
+    let mut text: toml::Table = BARE.replace("duration_s = 1.0", "duration_s = 30.0").parse().unwrap();
+    text.insert("effects".into(), effects.into());
+    Scene::parse("some", &text.to_string()).unwrap()
+}
+
+/// What an effect of a sensor or of the air made of the same readings, bit by bit.
+type Contribution = (&'static str, Vec<[u64; 3]>);
+
+/// What each effect of a scene makes of the same readings while the vehicle flies: its contribution alone.
+fn contributions(scene: &Scene) -> Vec<Contribution> {
+    let state = crate::vehicle::State { rates: vec3(0.1, -0.2, 0.3), ..STATE };
+    let at = |k: u32| Moment { rotors: [200.0, 210.0, 220.0, 230.0], ..moment(&state, f64::from(k) * 1e-3) };
+    let bits = |v: Vec3<f64>| <[f64; 3]>::from(v).map(f64::to_bits);
+    let mut list = Vec::new();
+    for (name, effect) in scene.vehicle_effects(7, 1e3) {
+        if let VehicleEffect::Wind(mut wind) = effect {
+            list.push((name, (0..20).map(|k| bits(wind.velocity(&at(k)))).collect()));
+        }
+    }
+    for mut sensor in [scene.gyro(7, 1e3), scene.accel(7, 1e3), scene.mag(7, 1e3)] {
+        for (name, effect) in sensor.effects_mut() {
+            let made = |k: u32| bits(effect.apply(vec3(1.0, 2.0, -3.0), &at(k)));
+            list.push((*name, (0..20).map(made).collect()));
+        }
+    }
+    list
+}
+
+#[test]
+fn no_effect_moves_the_draws_of_another() {
+    let groups = ["wind.", "gyro.", "accel.", "mag.", "vehicle.quadratic_drag"];
+    let mut names = Scene::parse("every", EVERY_EFFECT).unwrap().effects();
+    names.retain(|name| groups.iter().any(|group| name.starts_with(group)));
+    let every = contributions(&with_effects(&names));
+    // A wind needs a drag, which draws nothing.
+    let alone = |name| contributions(&with_effects(&[name, "vehicle.quadratic_drag"]));
+    for (i, first) in every.iter().enumerate() {
+        assert_eq!(alone(first.0), std::slice::from_ref(first), "alone and with all the others");
+        for second in &every[i + 1..] {
+            let together = contributions(&with_effects(&[first.0, second.0, "vehicle.quadratic_drag"]));
+            assert_eq!(together, [first.clone(), second.clone()], "{} with {}", first.0, second.0);
+        }
+    }
+}
+
+#[test]
+fn the_file_of_every_effect_has_every_effect() {
+    assert_eq!(Scene::parse("every", EVERY_EFFECT).unwrap().left_out(), Vec::<&str>::new());
 }

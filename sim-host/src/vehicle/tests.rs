@@ -1,11 +1,43 @@
 use super::*;
+use crate::effects::vehicle::{LinearDrag, MotorLag, RotorGyroscopic};
+use crate::effects::{Build, Recipe};
 use proptest::prelude::*;
+
+mod effects;
 
 const STEP_S: f64 = 1e-3;
 
-fn in_the_air(effects: Vec<BodyEffect>) -> Vehicle {
+type Effects = Vec<(&'static str, VehicleEffect)>;
+
+/// What a recipe builds for OS4 at this step.
+fn built(recipe: &impl Recipe<Effect = VehicleEffect>, step_s: f64) -> (&'static str, VehicleEffect) {
+    recipe.validate("test").unwrap();
+    let with = Build {
+        name: "test",
+        seed: 1,
+        rate_hz: 1.0 / step_s,
+        duration_s: 60.0,
+        vehicle: &VehicleParams::OS4,
+    };
+    ("test", recipe.build(&with))
+}
+
+fn lag(tau_s: f64, step_s: f64) -> (&'static str, VehicleEffect) {
+    built(&MotorLag { tau_s, tau_down_s: None }, step_s)
+}
+
+fn drag(step_s: f64) -> (&'static str, VehicleEffect) {
+    built(&LinearDrag { a_kg_per_s: [0.25; 3] }, step_s)
+}
+
+fn on_the_ground(mut effects: Effects) -> Vehicle {
     let ground = Ground::new(&VehicleParams::OS4);
-    let mut v = Vehicle::at_rest(VehicleParams::OS4, Mount::Free(ground), effects, Some(0.05), STEP_S);
+    effects.push(lag(0.05, STEP_S));
+    Vehicle::at_rest(VehicleParams::OS4, Mount::Free(ground), effects, STEP_S)
+}
+
+fn in_the_air(effects: Effects) -> Vehicle {
+    let mut v = on_the_ground(effects);
     v.set_state(State { position: vec3(0.0, 0.0, -100.0), ..*v.state() }, [0.0; 4]);
     v
 }
@@ -30,8 +62,7 @@ fn euler(roll: f64, pitch: f64, yaw: f64) -> Quaternion<f64> {
 
 #[test]
 fn at_rest_on_the_ground_it_stays_and_reads_one_g_up() {
-    let ground = Ground::new(&VehicleParams::OS4);
-    let mut v = Vehicle::at_rest(VehicleParams::OS4, Mount::Free(ground), vec![], Some(0.05), STEP_S);
+    let mut v = on_the_ground(vec![]);
     let start = *v.state();
     for _ in 0..10_000 {
         v.advance();
@@ -64,7 +95,7 @@ fn hover_speed_holds_and_reads_one_g() {
 #[test]
 fn linear_drag_reaches_terminal_velocity() {
     // v(t) = (m g/A)(1 − exp(−A t/m))
-    let mut v = in_the_air(vec![BodyEffect::LinearDrag(vec3(0.25, 0.25, 0.25))]);
+    let mut v = in_the_air(vec![drag(STEP_S)]);
     run(&mut v, 3.0);
     let exact = 0.65 * GRAVITY / 0.25 * (1.0 - libm::exp(-0.25 * 3.0 / 0.65));
     assert!((v.state().velocity.z - exact).abs() < 1e-9, "{} {exact}", v.state().velocity.z);
@@ -74,7 +105,8 @@ fn linear_drag_reaches_terminal_velocity() {
 fn rotors_lag_exponentially_whatever_the_time_constant() {
     for tau_s in [0.05, 1e-4] {
         let ground = Ground::new(&VehicleParams::OS4);
-        let mut v = Vehicle::at_rest(VehicleParams::OS4, Mount::Free(ground), vec![], Some(tau_s), 0.01);
+        let effects = vec![lag(tau_s, 0.01)];
+        let mut v = Vehicle::at_rest(VehicleParams::OS4, Mount::Free(ground), effects, 0.01);
         v.command([200.0; 4]);
         v.advance();
         let exact = 200.0 * (1.0 - libm::exp(-0.01 / tau_s));
@@ -104,7 +136,7 @@ proptest! {
     fn equations_8_to_10_hold_in_body_rates(
         rates in prop::array::uniform3(-5.0_f64..5.0), rotors in prop::array::uniform4(50.0_f64..300.0),
     ) {
-        let mut v = in_the_air(vec![BodyEffect::RotorGyroscopic(6e-5)]);
+        let mut v = in_the_air(vec![built(&RotorGyroscopic {}, STEP_S)]);
         v.set_state(State { rates: rates.into(), ..*v.state() }, rotors);
         let printed = printed_8_to_10(rates.into(), rotors);
         prop_assert!((v.angular_acceleration() - printed).norm() < 1e-9 * (1.0 + printed.norm()));
@@ -208,8 +240,8 @@ fn symmetric_top_turns_as_its_closed_form() {
 fn runge_kutta_is_of_fourth_order() {
     let end = |step_s: f64| {
         let ground = Ground::new(&VehicleParams::OS4);
-        let drag = vec![BodyEffect::LinearDrag(vec3(0.25, 0.25, 0.25))];
-        let mut v = Vehicle::at_rest(VehicleParams::OS4, Mount::Free(ground), drag, Some(0.05), step_s);
+        let effects = vec![lag(0.05, step_s), drag(step_s)];
+        let mut v = Vehicle::at_rest(VehicleParams::OS4, Mount::Free(ground), effects, step_s);
         v.set_state(
             State { position: vec3(0.0, 0.0, -100.0), rates: vec3(2.0, 1.0, -1.5), ..*v.state() },
             [150.0, 200.0, 180.0, 210.0],
@@ -246,7 +278,7 @@ fn dropped_from_a_hand_it_comes_to_rest() {
 
 #[test]
 fn on_the_ball_joint_it_turns_but_does_not_move() {
-    let mut v = Vehicle::at_rest(VehicleParams::OS4, Mount::BallJoint, vec![], Some(0.05), STEP_S);
+    let mut v = Vehicle::at_rest(VehicleParams::OS4, Mount::BallJoint, vec![lag(0.05, STEP_S)], STEP_S);
     v.command([230.0, 220.0, 220.0, 230.0]);
     run(&mut v, 0.2);
     assert_eq!((v.state().position, v.state().velocity), (Vec3::ZERO, Vec3::ZERO));

@@ -2,11 +2,13 @@
 //!
 //! The Allan deviation here is written down from its definition, to check with.
 
+use flight_core::geometry::Vec3;
 use sim_host::flight::{Flight, Observer, StepView};
+use sim_host::random::NormalStreams;
 use sim_host::scene::Scene;
-use sim_host::sensors::{Converter, Sensor, SensorEffect};
 
 use crate::spread::Spread;
+use crate::still::{STILL, white_noise};
 
 /// Eq 15 as printed: over consecutive means of `length` samples, none shared by two of them.
 #[derive(Clone, Debug)]
@@ -119,11 +121,16 @@ fn gyroscope_of_table_2_is_0_03228_deg_per_s_per_root_hz() {
     let n = GYRO_DEG_PER_SQRT_H.map(|n| n / 60.0);
     assert!((n[0] - 0.03228).abs() < 1e-6);
     let (scene, seed) = on_the_bench(60.0);
-    let effects = scene.gyro_effects(seed, 1000.0);
-    let [SensorEffect::WhiteNoise { deviation, .. }] = effects.as_slice() else { panic!("{effects:?}") };
-    for (deviation, n) in <[f64; 3]>::from(*deviation).into_iter().zip(n) {
-        // Eq 16 at 1 kHz.
-        assert!((deviation.to_degrees() / (n * libm::sqrt(1000.0)) - 1.0).abs() < 1e-12);
+    let mut gyro = scene.gyro(seed, 1000.0);
+    // The draws that it is to scale, from the same streams.
+    let mut streams = NormalStreams::new(seed, "gyro.white_noise");
+    for _ in 0..1000 {
+        let readings = <[f64; 3]>::from(gyro.measure(Vec3::ZERO, &STILL));
+        let draws = <[f64; 3]>::from(streams.draw());
+        for ((reading, w), n) in readings.into_iter().zip(draws).zip(n) {
+            // Eq 16 at 1 kHz.
+            assert!((reading.to_degrees() / w / (n * libm::sqrt(1000.0)) - 1.0).abs() < 1e-12);
+        }
     }
 }
 
@@ -184,12 +191,11 @@ fn static_reads_back_table_2() {
 #[test]
 fn white_noise_has_the_allan_deviation_n_over_root_tau() {
     let n = 0.03;
-    let noise = SensorEffect::white_noise([n; 3].into(), 0.01, 11, "paper.slope");
-    let mut sensor = Sensor::new(vec![noise], Converter { per_count: 1.0 });
+    let mut sensor = white_noise(n, 100.0, 11, "paper.slope");
     let lengths = [10, 100, 1000];
     let mut allans = lengths.map(Allan::new);
     for _ in 0..4_000_000 {
-        let y = sensor.measure([0.0; 3].into()).x;
+        let y = sensor.measure(Vec3::ZERO, &STILL).x;
         allans.iter_mut().for_each(|allan| allan.add(y));
     }
     for (allan, length) in allans.iter().zip(lengths) {

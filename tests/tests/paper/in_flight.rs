@@ -7,20 +7,22 @@
 use flight_core::STANDARD_GRAVITY;
 use flight_core::estimator::{Estimator, EstimatorParams};
 use flight_core::geometry::{Quaternion, Vec3, vec3};
+use sim_host::effects::vehicle::{LinearDrag, VehicleEffect};
 use sim_host::flight::{Crash, Flight, Observer, StepView};
 use sim_host::scene::{BUILT_IN, Scene};
-use sim_host::vehicle::{BodyEffect, GRAVITY, Ground, Mount, State, Vehicle, VehicleParams};
+use sim_host::vehicle::{GRAVITY, Ground, Mount, State, Vehicle, VehicleParams};
 
 use crate::spread::Spread;
+use crate::still::on_os4;
 
 /// τ of `paper`, s.
 const TAU_S: f64 = 0.97 / 0.03 * 0.01;
 /// A of eqs 11-13 in `steps`, kg/s.
 const DRAG_KG_PER_S: f64 = 0.25;
 
-fn in_the_air(effects: Vec<BodyEffect>, state: State, speed: f64) -> Vehicle {
+fn in_the_air(effects: Vec<(&'static str, VehicleEffect)>, state: State, speed: f64) -> Vehicle {
     let params = VehicleParams::OS4;
-    let mut vehicle = Vehicle::at_rest(params, Mount::Free(Ground::new(&params)), effects, None, 1e-3);
+    let mut vehicle = Vehicle::at_rest(params, Mount::Free(Ground::new(&params)), effects, 1e-3);
     vehicle.set_state(State { position: vec3(0.0, 0.0, -100.0), ..state }, [speed; 4]);
     vehicle.command([speed; 4]);
     vehicle
@@ -60,7 +62,7 @@ fn drag_shows_a_tilt_only_with_the_time_constant_of_the_speed() {
     assert!((time_constant_s - 2.6).abs() < 1e-9);
     // The height is held.
     let speed = libm::sqrt(params.mass_kg * GRAVITY / (4.0 * params.thrust_coefficient * libm::cos(tilt)));
-    let drag = BodyEffect::LinearDrag([DRAG_KG_PER_S; 3].into());
+    let drag = on_os4(&LinearDrag { a_kg_per_s: [DRAG_KG_PER_S; 3] });
     let attitude = turned_about_x(tilt);
     let state = State { position: Vec3::ZERO, velocity: Vec3::ZERO, attitude, rates: Vec3::ZERO };
     let mut vehicle = in_the_air(vec![drag], state, speed);

@@ -5,9 +5,11 @@
 
 use flight_core::geometry::{Quaternion, Vec3, vec3};
 use flight_core::sample::{ImuSample, Input, MagSample};
+use sim_host::effects::Moment;
 use sim_host::scene::{BUILT_IN, FIELD_ANKARA_UT, Scene};
-use sim_host::sensors::Sensor;
-use sim_host::vehicle::GRAVITY;
+use sim_host::vehicle::{GRAVITY, State};
+
+use crate::still::STILL;
 
 const HARD_IRON_UT: f64 = 200.0;
 
@@ -35,19 +37,20 @@ fn shown_deg(scene: &Scene, heading_deg: f64) -> f64 {
     let half = 0.5 * heading_deg.to_radians();
     let attitude = Quaternion::new(libm::cos(half), 0.0, 0.0, libm::sin(half));
     let field = attitude.conjugate().rotate(FIELD_ANKARA_UT);
-    let [gyro, accel, mag] = scene.converters;
-    let mut gyro = Sensor::new(scene.gyro_effects(scene.seed, 1000.0), gyro);
-    let mut accel = Sensor::new(scene.accel_effects(scene.seed, 1000.0), accel);
-    let mut mag = Sensor::new(scene.mag_effects(scene.seed, 100.0), mag);
+    let mut gyro = scene.gyro(scene.seed, 1000.0);
+    let mut accel = scene.accel(scene.seed, 1000.0);
+    let mut mag = scene.mag(scene.seed, 100.0);
+    let state = State { attitude, ..*STILL.state };
     let mut controller = scene.controller();
     for ms in 0..3000 {
+        let at = Moment { time_s: ms as f64 * 1e-3, state: &state, ..STILL };
         controller.step(&Input {
             time_us: ms * 1000,
             imu: Some(ImuSample {
-                gyro: gyro.sample(Vec3::ZERO),
-                accel: accel.sample(vec3(0.0, 0.0, -GRAVITY)),
+                gyro: gyro.sample(Vec3::ZERO, &at),
+                accel: accel.sample(vec3(0.0, 0.0, -GRAVITY), &at),
             }),
-            mag: (ms % 10 == 0).then(|| MagSample { counts: mag.sample(field) }),
+            mag: (ms % 10 == 0).then(|| MagSample { counts: mag.sample(field, &at) }),
             ..Input::default()
         });
     }

@@ -11,4 +11,5 @@ mod magnetometer;
 mod prefilter;
 mod rotors;
 mod spread;
+mod still;
 mod strapdown;

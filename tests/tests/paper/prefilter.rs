@@ -13,10 +13,10 @@ use flight_core::geometry::{Vec3, vec3};
 use flight_core::prefilter::{Biquad, Prefilter};
 use sim_host::flight::{Flight, Observer, StepView};
 use sim_host::scene::Scene;
-use sim_host::sensors::{Converter, Sensor, SensorEffect};
 
 use crate::allan::OverlappingAllan;
 use crate::spread::Spread;
+use crate::still::{STILL, white_noise};
 
 const CUTOFF_HZ: f64 = 30.0;
 /// Decay of the filter's step response, 1/s: ω_c/√2.
@@ -31,11 +31,6 @@ fn noise_gain(rate_hz: f64) -> f64 {
     let k = libm::tan(std::f64::consts::PI * CUTOFF_HZ / rate_hz);
     let energy = k * ((1.0 - k * k) * std::f64::consts::FRAC_1_SQRT_2 + k * k * k) / (1.0 + k * k * k * k);
     libm::sqrt(rate_hz * energy)
-}
-
-fn white_noise(n: f64, rate_hz: f64, seed: u64) -> Sensor {
-    let noise = SensorEffect::white_noise([n; 3].into(), 1.0 / rate_hz, seed, "paper.prefilter");
-    Sensor::new(vec![noise], Converter { per_count: 1.0 })
 }
 
 fn narrow(v: Vec3<f64>) -> Vec3<f32> {
@@ -68,11 +63,11 @@ fn noise_gain_tends_to_8_16() {
 #[test]
 fn filtered_noise_has_8_14_n_at_1_khz() {
     let n = 0.03228;
-    let mut sensor = white_noise(n, 1000.0, 5);
+    let mut sensor = white_noise(n, 1000.0, 5, "paper.prefilter");
     let mut filter = filter(1000.0);
     let mut spreads = [Spread::default(); 3];
     for k in 0..5_000_000 {
-        let y = filter.step(narrow(sensor.measure(Vec3::ZERO)));
+        let y = filter.step(narrow(sensor.measure(Vec3::ZERO, &STILL)));
         if k > 200 {
             let axes = [y.x, y.y, y.z].map(f64::from);
             spreads.iter_mut().zip(axes).for_each(|(spread, y)| spread.add(y));
@@ -127,12 +122,12 @@ fn filter_lowers_the_allan_deviation_at_1_s_by_0_28_percent() {
     // between independent records gives its error.
     let mut changes = Spread::default();
     for seed in 0..32 {
-        let mut sensor = white_noise(0.03, 1000.0, seed);
+        let mut sensor = white_noise(0.03, 1000.0, seed, "paper.prefilter");
         let mut filter = filter(1000.0);
         let mut pairs: [_; 3] =
             std::array::from_fn(|_| [OverlappingAllan::new(1000), OverlappingAllan::new(1000)]);
         for k in 0..200_000 {
-            let raw = narrow(sensor.measure(Vec3::ZERO));
+            let raw = narrow(sensor.measure(Vec3::ZERO, &STILL));
             let smooth = filter.step(raw);
             if k < 200 {
                 continue;

@@ -2,13 +2,16 @@
 
 use flight_core::geometry::{Vec3, vec3};
 use flight_core::mixer::{Airframe, Mixer, Saturation, Wrench};
-use sim_host::vehicle::{BodyEffect, GRAVITY, Ground, Mount, State, Vehicle, VehicleParams};
+use sim_host::effects::vehicle::{RotorGyroscopic, VehicleEffect};
+use sim_host::vehicle::{GRAVITY, Ground, Mount, State, Vehicle, VehicleParams};
+
+use crate::still::on_os4;
 
 const PARAMS: VehicleParams = VehicleParams::OS4;
 
 /// In the air, with body rates and rotor speeds in rad/s.
-fn flying(effects: Vec<BodyEffect>, rates: Vec3<f64>, rotors: [f64; 4]) -> Vehicle {
-    let mut vehicle = Vehicle::at_rest(PARAMS, Mount::Free(Ground::new(&PARAMS)), effects, None, 1e-3);
+fn flying(effects: Vec<(&'static str, VehicleEffect)>, rates: Vec3<f64>, rotors: [f64; 4]) -> Vehicle {
+    let mut vehicle = Vehicle::at_rest(PARAMS, Mount::Free(Ground::new(&PARAMS)), effects, 1e-3);
     vehicle.set_state(State { position: vec3(0.0, 0.0, -100.0), rates, ..*vehicle.state() }, rotors);
     vehicle
 }
@@ -44,7 +47,7 @@ fn rotor_momentum_gives_the_signs_of_the_gyroscopic_terms() {
     let spin: f64 = rotors.iter().zip(anticlockwise).map(|(speed, a)| if a { -speed } else { *speed }).sum();
     let momentum = vec3(0.0, 0.0, j * spin);
     for rates in [vec3(1.0, 0.0, 0.0), vec3(0.0, 1.0, 0.0), vec3(0.3, -2.0, 1.5)] {
-        let with = flying(vec![BodyEffect::RotorGyroscopic(j)], rates, rotors).angular_acceleration();
+        let with = flying(vec![on_os4(&RotorGyroscopic {})], rates, rotors).angular_acceleration();
         let without = flying(vec![], rates, rotors).angular_acceleration();
         let torque = (with - without).scale_by(PARAMS.inertia_kg_m2);
         assert!((torque + rates.cross(momentum)).norm() < 1e-12, "{torque:?}");

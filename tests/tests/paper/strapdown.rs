@@ -10,6 +10,7 @@ use sim_host::sensors::Sensor;
 use sim_host::vehicle::GRAVITY;
 
 use crate::spread::Spread;
+use crate::still::STILL;
 
 const REST: Vec3<f64> = vec3(0.0, 0.0, -GRAVITY);
 const TIME_S: f64 = 60.0;
@@ -52,7 +53,9 @@ fn position_after_a_minute(
     // The reading at time 0, so that the first trapezium has both its sides.
     strapdown.acceleration = force_bias;
     for _ in 0..(TIME_S * RATE_HZ) as u32 {
-        strapdown.step(gyro.measure(rate_bias), accel.measure(REST + force_bias), 1.0 / RATE_HZ);
+        let rate = gyro.measure(rate_bias, &STILL);
+        let force = accel.measure(REST + force_bias, &STILL);
+        strapdown.step(rate, force, 1.0 / RATE_HZ);
     }
     strapdown.position
 }
@@ -110,13 +113,9 @@ fn the_noise_of_table_2_outruns_both_biases() {
     let expected = [by_both(1.239), by_both(1.9368)];
     assert!((expected[1] - 34.45).abs() < 0.01 && (0.0012 * by_accel - 0.322).abs() < 0.001);
 
-    let [gyro, accel, _] = scene.converters;
     let mut spreads = [Spread::default(); 2];
     for seed in 0..1000 {
-        let mut sensors = [
-            Sensor::new(scene.gyro_effects(seed, RATE_HZ), gyro),
-            Sensor::new(scene.accel_effects(seed, RATE_HZ), accel),
-        ];
+        let mut sensors = [scene.gyro(seed, RATE_HZ), scene.accel(seed, RATE_HZ)];
         let position = position_after_a_minute(&mut sensors, Vec3::ZERO, Vec3::ZERO);
         for (spread, axis) in spreads.iter_mut().zip([position.x, position.y]) {
             spread.add(axis);

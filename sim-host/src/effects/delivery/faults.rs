@@ -1,0 +1,173 @@
+//! Faults of a sensor or its bus: from one moment to another, a sample is not what was converted.
+
+use super::{Delivery, Window};
+
+/// Where in a sample the counts of one sensor are.
+pub type Counts<T> = fn(&mut T) -> &mut [i16; 3];
+
+/// Nothing is delivered.
+#[derive(Clone, Copy, Debug)]
+pub struct Dead(pub Window);
+
+impl<T> Delivery<T> for Dead {
+    fn step(&mut self, sample: Option<T>) -> Option<T> {
+        // Asked at every step, whether or not it brings something: that is what counts the steps.
+        let inside = self.0.next_is_inside();
+        sample.filter(|_| !inside)
+    }
+}
+
+/// Every sample is this one: the chip's code for invalid data.
+#[derive(Clone, Copy, Debug)]
+pub struct InvalidCode<T> {
+    /// When.
+    pub window: Window,
+    /// The sample with 0x8000 on all axes.
+    pub sample: T,
+}
+
+impl<T: Copy + Send> Delivery<T> for InvalidCode<T> {
+    fn step(&mut self, sample: Option<T>) -> Option<T> {
+        let inside = self.window.next_is_inside();
+        sample.map(|sample| if inside { self.sample } else { sample })
+    }
+}
+
+/// One axis keeps the count that it had when the fault began.
+#[derive(Clone, Copy, Debug)]
+pub struct StuckAxis<T> {
+    /// When.
+    pub window: Window,
+    /// The sensor.
+    pub counts: Counts<T>,
+    /// 0 for x, 1 for y, 2 for z.
+    pub axis: usize,
+    /// The count, once the fault has begun.
+    pub held: Option<i16>,
+}
+
+impl<T: Send> Delivery<T> for StuckAxis<T> {
+    fn step(&mut self, mut sample: Option<T>) -> Option<T> {
+        if self.window.next_is_inside()
+            && let Some(sample) = &mut sample
+        {
+            let count = &mut (self.counts)(sample)[self.axis];
+            *count = *self.held.get_or_insert(*count);
+        }
+        sample
+    }
+}
+
+/// One axis reads so many counts more, to the end of the 16 bits at most.
+#[derive(Clone, Copy, Debug)]
+pub struct Spike<T> {
+    /// When.
+    pub window: Window,
+    /// The sensor.
+    pub counts: Counts<T>,
+    /// 0 for x, 1 for y, 2 for z.
+    pub axis: usize,
+    /// Counts more.
+    pub by: i16,
+}
+
+impl<T: Send> Delivery<T> for Spike<T> {
+    fn step(&mut self, mut sample: Option<T>) -> Option<T> {
+        if self.window.next_is_inside()
+            && let Some(sample) = &mut sample
+        {
+            let count = &mut (self.counts)(sample)[self.axis];
+            *count = count.saturating_add(self.by);
+        }
+        sample
+    }
+}
+
+/// The last sample before the fault comes again and again, as from a buffer that nobody fills.
+#[derive(Clone, Copy, Debug)]
+pub struct RepeatedSample<T> {
+    /// When.
+    pub window: Window,
+    /// The last sample that came.
+    pub last: Option<T>,
+}
+
+impl<T: Copy + Send> Delivery<T> for RepeatedSample<T> {
+    fn step(&mut self, sample: Option<T>) -> Option<T> {
+        let inside = self.window.next_is_inside();
+        let sample = sample?;
+        match (inside, self.last) {
+            (true, Some(last)) => Some(last),
+            _ => {
+                self.last = Some(sample);
+                Some(sample)
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use flight_core::sample::ImuSample;
+
+    /// The sample of step k: every count different, and different at every step.
+    fn sample(k: i16) -> ImuSample {
+        ImuSample { gyro: [k, 100 + k, 200 + k], accel: [-k, -100 - k, -200 - k] }
+    }
+
+    /// Runs twenty samples through a fault from step 5 to 9 and gives back those that differ.
+    fn changed(mut fault: impl Delivery<ImuSample>) -> Vec<(i16, Option<ImuSample>)> {
+        (0..20)
+            .map(|k| (k, fault.step(Some(sample(k)))))
+            .filter(|(k, got)| *got != Some(sample(*k)))
+            .collect()
+    }
+
+    fn window() -> Window {
+        Window::new(0.005, Some(0.005), 1000.0)
+    }
+
+    #[test]
+    fn a_dead_sensor_delivers_nothing() {
+        assert_eq!(changed(Dead(window())), [5, 6, 7, 8, 9].map(|k| (k, None)));
+    }
+
+    #[test]
+    fn time_passes_where_nothing_comes() {
+        // Something every second step, from 0 on; dead from step 5 to 9.
+        let mut dead = Dead(window());
+        let came = (0..20).filter(|k| dead.step((k % 2 == 0).then_some(*k)).is_some());
+        assert_eq!(came.collect::<Vec<_>>(), [0, 2, 4, 10, 12, 14, 16, 18]);
+    }
+
+    #[test]
+    fn the_invalid_code_is_on_all_axes() {
+        let invalid = ImuSample { gyro: [i16::MIN; 3], accel: [i16::MIN; 3] };
+        let fault = InvalidCode { window: window(), sample: invalid };
+        assert_eq!(changed(fault), [5, 6, 7, 8, 9].map(|k| (k, Some(invalid))));
+    }
+
+    #[test]
+    fn a_stuck_axis_keeps_its_first_count() {
+        let fault =
+            StuckAxis { window: window(), counts: |s: &mut ImuSample| &mut s.gyro, axis: 1, held: None };
+        // At step 5 it still reads right.
+        let stuck = |k: i16| ImuSample { gyro: [k, 105, 200 + k], ..sample(k) };
+        assert_eq!(changed(fault), [6, 7, 8, 9].map(|k| (k, Some(stuck(k)))));
+    }
+
+    #[test]
+    fn a_spike_adds_its_counts_and_saturates() {
+        let spike = |by| Spike { window: window(), counts: |s: &mut ImuSample| &mut s.accel, axis: 2, by };
+        let raised = |k: i16| ImuSample { accel: [-k, -100 - k, 800 - k], ..sample(k) };
+        assert_eq!(changed(spike(1000)), [5, 6, 7, 8, 9].map(|k| (k, Some(raised(k)))));
+        assert_eq!(changed(spike(-32_700))[0].1.unwrap().accel[2], i16::MIN);
+    }
+
+    #[test]
+    fn the_last_good_sample_repeats() {
+        let fault = RepeatedSample { window: window(), last: None };
+        assert_eq!(changed(fault), [5, 6, 7, 8, 9].map(|k| (k, Some(sample(4)))));
+    }
+}

@@ -1,0 +1,96 @@
+//! Random loss: each sample is lost with probability p, whatever became of the others. The lengths of the
+//! gaps are geometrically distributed: n or more in a row with p^n.
+
+use std::marker::PhantomData;
+
+use serde::Deserialize;
+
+use super::{BoxedDelivery, Delivery};
+use crate::effects::{Build, Recipe};
+use crate::input_error::InputError;
+use crate::random::UniformStream;
+use crate::scene::check;
+
+/// `[effects.imu.dropped_samples]`, `[effects.mag.dropped_samples]`, `[effects.link.loss]`
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Loss<T> {
+    /// p, 0 to 1.
+    pub probability: f64,
+    #[serde(skip)]
+    of: PhantomData<T>,
+}
+
+impl<T: Send + 'static> Recipe for Loss<T> {
+    type Effect = BoxedDelivery<T>;
+
+    fn validate(&self, key: &str) -> Result<(), InputError> {
+        check::one(key, "probability", self.probability, 0.0, 1.0, "of 1")
+    }
+
+    fn build(&self, with: &Build) -> BoxedDelivery<T> {
+        let stream = UniformStream::new(with.seed, with.name, 0);
+        Box::new(Gaps { probability: self.probability, stream })
+    }
+}
+
+struct Gaps {
+    probability: f64,
+    stream: UniformStream,
+}
+
+impl<T> Delivery<T> for Gaps {
+    fn step(&mut self, sample: Option<T>) -> Option<T> {
+        // The draw is in (0, 1]: with p = 0 nothing is lost, with p = 1 everything.
+        sample.filter(|_| self.stream.draw() > self.probability)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::effects::sensor::testing::build_with;
+
+    fn loss(name: &str, probability: f64, seed: u64) -> BoxedDelivery<u32> {
+        build_with(&Loss { probability, of: PhantomData }, name, 1000.0, seed)
+    }
+
+    #[test]
+    fn so_many_are_lost_and_gaps_are_geometric() {
+        let (p, n) = (0.1, 1_000_000);
+        let mut effect = loss("imu.dropped_samples", p, 1);
+        let lost: Vec<bool> = (0..n).map(|k| effect.step(Some(k)).is_none()).collect();
+        let share = lost.iter().filter(|lost| **lost).count() as f64 / f64::from(n);
+        // Five standard errors of a share: 5 √(p (1 − p)/n) = 0.0015.
+        assert!((share - p).abs() < 5.0 * (p * (1.0 - p) / f64::from(n)).sqrt(), "{share}");
+        // Two in a row: p². Neighbouring pairs overlap, which adds 2 p³ (1 − p) to the variance.
+        let pairs = lost.windows(2).filter(|two| two[0] && two[1]).count() as f64 / f64::from(n);
+        let variance = p * p * (1.0 - p * p) + 2.0 * p * p * p * (1.0 - p);
+        assert!((pairs - p * p).abs() < 5.0 * (variance / f64::from(n)).sqrt(), "{pairs}");
+    }
+
+    #[test]
+    fn none_all_and_nothing_to_lose() {
+        let (mut none, mut all) = (loss("a", 0.0, 1), loss("a", 1.0, 1));
+        for k in 0..10_000 {
+            assert_eq!((none.step(Some(k)), all.step(Some(k))), (Some(k), None));
+        }
+        // A step that brings nothing takes no draw: the samples after it fare as they would have.
+        let (mut dense, mut sparse) = (loss("a", 0.5, 1), loss("a", 0.5, 1));
+        for k in 0..100 {
+            assert_eq!(sparse.step(None), None);
+            assert_eq!(dense.step(Some(k)), sparse.step(Some(k)));
+        }
+    }
+
+    #[test]
+    fn streams_differ_by_name_and_seed() {
+        let pattern = |name, seed| {
+            let mut effect = loss(name, 0.5, seed);
+            (0..64).map(|k| effect.step(Some(k)).is_some()).collect::<Vec<_>>()
+        };
+        let first = pattern("imu.dropped_samples", 1);
+        assert_eq!(first, pattern("imu.dropped_samples", 1));
+        assert!(first != pattern("mag.dropped_samples", 1) && first != pattern("imu.dropped_samples", 2));
+    }
+}

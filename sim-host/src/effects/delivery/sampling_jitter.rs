@@ -1,0 +1,148 @@
+//! Sampling jitter: a sample is taken at t + δ while its time stamp says t.
+//!
+//! What the sensors then see is the truth moved by its derivatives:
+//!
+//! ω(t + δ) = ω + ω̇ δ, f(t + δ) = f + ḟ δ
+//!
+//! ω̇ is the vehicle's own, ḟ the difference to the sample before, over the interval. A vehicle that turns at
+//! a constant rate shows no error; at ω̇ = 100 rad/s², δ = 20 µs is 2 mrad/s.
+//!
+//! δ has the deviation σ, normal or uniform (on ±√3 σ), and never exceeds half an interval: samples do not
+//! overtake each other.
+
+use flight_core::geometry::Vec3;
+use serde::Deserialize;
+
+use super::ImuEffect;
+use crate::effects::{Build, Moment, Recipe};
+use crate::input_error::InputError;
+use crate::random::{NormalStream, UniformStream};
+use crate::scene::check;
+use crate::vehicle::State;
+
+/// `[effects.imu.sampling_jitter]`
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SamplingJitter {
+    /// σ, µs.
+    pub sigma_us: f64,
+    /// `"normal"` (without it) or `"uniform"`.
+    #[serde(default)]
+    pub distribution: Distribution,
+}
+
+/// How δ is distributed.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Distribution {
+    /// Interrupts of other tasks: many small delays.
+    #[default]
+    Normal,
+    /// A sensor's clock that runs freely beside the controller's.
+    Uniform,
+}
+
+impl Recipe for SamplingJitter {
+    type Effect = ImuEffect;
+
+    fn validate(&self, key: &str) -> Result<(), InputError> {
+        check::one(key, "sigma_us", self.sigma_us, 0.0, 1e5, "µs")
+    }
+
+    fn build(&self, with: &Build) -> ImuEffect {
+        let sigma_s = self.sigma_us * 1e-6;
+        let draws = match self.distribution {
+            Distribution::Normal => Draws::Normal(NormalStream::new(with.seed, with.name, 0), sigma_s),
+            Distribution::Uniform => {
+                Draws::Uniform(UniformStream::new(with.seed, with.name, 0), libm::sqrt(3.0) * sigma_s)
+            }
+        };
+        ImuEffect::Sampling(Jitter { draws, interval_s: with.interval_s(), before: None })
+    }
+}
+
+enum Draws {
+    /// Deviation, s.
+    Normal(NormalStream, f64),
+    /// Largest magnitude, s.
+    Uniform(UniformStream, f64),
+}
+
+/// Moves the time of the samples.
+pub struct Jitter {
+    draws: Draws,
+    interval_s: f64,
+    /// Specific force at the sample before, m/s².
+    before: Option<Vec3<f64>>,
+}
+
+impl Jitter {
+    /// δ of the next sample, s.
+    fn draw(&mut self) -> f64 {
+        let delta_s = match &mut self.draws {
+            Draws::Normal(stream, sigma_s) => stream.draw() * *sigma_s,
+            Draws::Uniform(stream, largest_s) => (2.0 * stream.draw() - 1.0) * *largest_s,
+        };
+        delta_s.clamp(-0.5 * self.interval_s, 0.5 * self.interval_s)
+    }
+
+    /// The state and the specific force at the time at which the sample is really taken, and that time.
+    pub fn displaced(&mut self, at: &Moment) -> (State, Vec3<f64>, f64) {
+        let delta_s = self.draw();
+        let change = self.before.map_or(Vec3::ZERO, |before| at.specific_force - before);
+        self.before = Some(at.specific_force);
+        let state = State { rates: at.state.rates + at.angular_acceleration * delta_s, ..*at.state };
+        (state, at.specific_force + change * (delta_s / self.interval_s), at.time_s + delta_s)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::effects::sensor::testing::{STATE, build_with, moment};
+    use flight_core::geometry::vec3;
+
+    fn jitter(sigma_us: f64, distribution: Distribution) -> Jitter {
+        match build_with(&SamplingJitter { sigma_us, distribution }, "imu.sampling_jitter", 1000.0, 1) {
+            ImuEffect::Sampling(jitter) => jitter,
+            ImuEffect::Delivery(_) => unreachable!("a jitter moves the time of sampling"),
+        }
+    }
+
+    #[test]
+    fn the_deviation_is_what_went_in_and_samples_do_not_overtake() {
+        let n = 200_000;
+        // The fourth moment is 3 σ⁴ of a normal distribution, 9/5 σ⁴ of a uniform one.
+        for (distribution, fourth) in [(Distribution::Normal, 3.0), (Distribution::Uniform, 1.8)] {
+            let mut jitter = jitter(20.0, distribution);
+            let draws: Vec<f64> = (0..n).map(|_| jitter.draw() * 1e6).collect();
+            let mean = draws.iter().sum::<f64>() / f64::from(n);
+            let square = draws.iter().map(|x| x * x).sum::<f64>() / f64::from(n);
+            assert!(mean.abs() < 5.0 * 20.0 / f64::from(n).sqrt(), "{mean}");
+            let error = 5.0 * ((fourth - 1.0_f64) / f64::from(n)).sqrt();
+            assert!((square / 400.0 - 1.0).abs() < error, "{distribution:?}: {square}");
+        }
+        let mut wild = jitter(5000.0, Distribution::Normal);
+        assert!((0..1000).all(|_| wild.draw().abs() <= 0.5e-3));
+    }
+
+    #[test]
+    fn the_error_is_the_derivative_times_the_delay() {
+        // A turn that speeds up and a force that grows, both at a constant pace: exact at any δ.
+        let (acceleration, jerk) = (vec3(100.0, -50.0, 20.0), vec3(-3.0, 7.0, 11.0));
+        let truth = |t: f64| (acceleration * t, vec3(0.0, 0.0, -9.8) + jerk * t);
+        let mut jitter = jitter(50.0, Distribution::Uniform);
+        for k in 0..1000 {
+            let t = f64::from(k) * 1e-3;
+            let (rates, specific_force) = truth(t);
+            let state = State { rates, ..STATE };
+            let at = Moment { specific_force, angular_acceleration: acceleration, ..moment(&state, t) };
+            let (moved, force, time_s) = jitter.displaced(&at);
+            let (wanted_rates, wanted_force) = truth(time_s);
+            assert!((moved.rates - wanted_rates).norm() < 1e-9);
+            // The first sample has none before it.
+            assert!(k == 0 || (force - wanted_force).norm() < 1e-9);
+            assert!((time_s - t).abs() <= 3.0_f64.sqrt() * 50e-6 && (k > 3 || time_s != t));
+        }
+    }
+}

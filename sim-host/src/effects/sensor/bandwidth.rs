@@ -1,0 +1,128 @@
+//! The chip's own bandwidth: a 2nd-order Butterworth low-pass.
+//!
+//! H(s) = ω_c²/(s² + √2 ω_c s + ω_c²), the −3 dB point at f_c, by the bilinear transform with prewarping
+//! (Oppenheim and Schafer, *Discrete-Time Signal Processing*, 7.1): with K = tan(π f_c/f_s) and
+//! D = 1 + √2 K + K², b = (K², 2K², K²)/D and a = (2(K² − 1), 1 − √2 K + K²)/D.
+//!
+//! It acts on what is sampled, so a vibration above half the rate passes at the frequency of its alias. As f_c
+//! nears half the rate, H tends to 1; from there on nothing is filtered.
+
+use flight_core::geometry::Vec3;
+use serde::Deserialize;
+
+use crate::effects::{BoxedSensorEffect, Build, Moment, Recipe, SensorEffect};
+use crate::input_error::InputError;
+use crate::scene::check;
+
+/// `[effects.gyro.bandwidth]` and `[effects.accel.bandwidth]`
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Bandwidth {
+    /// f_c, Hz.
+    pub cutoff_hz: f64,
+}
+
+impl Recipe for Bandwidth {
+    type Effect = BoxedSensorEffect;
+
+    fn validate(&self, key: &str) -> Result<(), InputError> {
+        check::one(key, "cutoff_hz", self.cutoff_hz, 0.1, 1e5, "Hz")
+    }
+
+    fn build(&self, with: &Build) -> BoxedSensorEffect {
+        Box::new(LowPass::new(self.cutoff_hz, with.rate_hz))
+    }
+}
+
+/// Direct form II transposed. The numerator is b₀ (1 + z⁻¹)².
+struct LowPass {
+    b0: f64,
+    a1: f64,
+    a2: f64,
+    /// `None` before the first sample.
+    states: Option<[Vec3<f64>; 2]>,
+}
+
+impl LowPass {
+    fn new(cutoff_hz: f64, rate_hz: f64) -> Self {
+        if cutoff_hz >= 0.5 * rate_hz {
+            return Self { b0: 1.0, a1: 2.0, a2: 1.0, states: None };
+        }
+        let k = libm::tan(std::f64::consts::PI * cutoff_hz / rate_hz);
+        let (k2, root2_k) = (k * k, std::f64::consts::SQRT_2 * k);
+        let d = 1.0 + root2_k + k2;
+        Self { b0: k2 / d, a1: 2.0 * (k2 - 1.0) / d, a2: (1.0 - root2_k + k2) / d, states: None }
+    }
+}
+
+impl SensorEffect for LowPass {
+    #[inline]
+    fn apply(&mut self, reading: Vec3<f64>, _: &Moment) -> Vec3<f64> {
+        let fed = reading * self.b0;
+        // At the start, the states of an input that was always there: no transient.
+        let [s1, s2] = self.states.unwrap_or_else(|| [reading - fed, fed - reading * self.a2]);
+        let read = fed + s1;
+        self.states = Some([fed * 2.0 - read * self.a1 + s2, fed - read * self.a2]);
+        read
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::effects::sensor::testing::{at_rest, build};
+    use flight_core::geometry::vec3;
+
+    /// Gain for a sine of this frequency, from the quadrature sums of whole periods after the transient.
+    fn gain(cutoff_hz: f64, frequency_hz: f64, rate_hz: f64) -> f64 {
+        let mut effect = build(&Bandwidth { cutoff_hz }, rate_hz);
+        let (mut real, mut imaginary) = (0.0, 0.0);
+        at_rest(|at| {
+            for k in 0..20_000 {
+                let angle = std::f64::consts::TAU * frequency_hz * f64::from(k) / rate_hz;
+                let got = effect.apply(vec3(angle.sin(), 0.0, 0.0), at).x;
+                if k >= 10_000 {
+                    real += got * angle.sin() / 5000.0;
+                    imaginary += got * angle.cos() / 5000.0;
+                }
+            }
+        });
+        real.hypot(imaginary)
+    }
+
+    #[test]
+    fn passes_what_a_butterworth_filter_passes() {
+        for (cutoff_hz, rate_hz) in [(100.0, 1000.0), (30.0, 1000.0), (20.0, 100.0)] {
+            for ratio in [0.2, 1.0, 2.0] {
+                let frequency_hz = ratio * cutoff_hz;
+                // 1/√(1 + (Ω/Ω_c)⁴) at the frequencies that the bilinear transform maps to.
+                let warped = |hz: f64| (std::f64::consts::PI * hz / rate_hz).tan();
+                let want = (1.0 + (warped(frequency_hz) / warped(cutoff_hz)).powi(4)).sqrt().recip();
+                let got = gain(cutoff_hz, frequency_hz, rate_hz);
+                assert!((got - want).abs() < 1e-9, "{frequency_hz} Hz: {got} {want}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_constant_passes_from_the_first_sample() {
+        for cutoff_hz in [5.0, 499.0, 2000.0] {
+            let mut effect = build(&Bandwidth { cutoff_hz }, 1000.0);
+            let truth = vec3(1.0, -2.0, 9.81);
+            at_rest(|at| {
+                for _ in 0..1000 {
+                    assert!((effect.apply(truth, at) - truth).norm() < 1e-10);
+                }
+            });
+        }
+    }
+
+    #[test]
+    fn above_half_the_rate_nothing_is_filtered() {
+        for cutoff_hz in [50.0, 1e4] {
+            for frequency_hz in [5.0, 45.0] {
+                assert!((gain(cutoff_hz, frequency_hz, 100.0) - 1.0).abs() < 1e-9);
+            }
+        }
+    }
+}

@@ -1,0 +1,92 @@
+//! Constant bias: y ← y + b.
+//!
+//! The part of the zero error that no switching on and no time changes, as a calibration leaves it or a
+//! datasheet's zero-rate (zero-g) output gives it. 1 mg for 60 s is 17.65 m (eqs 2-3); 1 deg/h for 60 s of an
+//! accelerometer's tilt is 1.71 m.
+
+use flight_core::geometry::Vec3;
+use serde::Deserialize;
+
+use super::DEG;
+use crate::effects::{BoxedSensorEffect, Build, Moment, Recipe, SensorEffect};
+use crate::input_error::InputError;
+use crate::scene::check;
+
+/// `[effects.gyro.constant_bias]`
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct GyroConstantBias {
+    /// b, deg/s, body axes.
+    pub bias_deg_s: [f64; 3],
+}
+
+/// `[effects.accel.constant_bias]`
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct AccelConstantBias {
+    /// b, m/s², body axes. 1 mg is 0.00980665 m/s².
+    pub bias_m_s2: [f64; 3],
+}
+
+impl Recipe for GyroConstantBias {
+    type Effect = BoxedSensorEffect;
+
+    fn validate(&self, key: &str) -> Result<(), InputError> {
+        check::each(key, "bias_deg_s", self.bias_deg_s, -1e3, 1e3, "deg/s")
+    }
+
+    fn build(&self, _: &Build) -> BoxedSensorEffect {
+        Box::new(Offset(self.bias_deg_s.map(|b| b * DEG).into()))
+    }
+}
+
+impl Recipe for AccelConstantBias {
+    type Effect = BoxedSensorEffect;
+
+    fn validate(&self, key: &str) -> Result<(), InputError> {
+        check::each(key, "bias_m_s2", self.bias_m_s2, -100.0, 100.0, "m/s²")
+    }
+
+    fn build(&self, _: &Build) -> BoxedSensorEffect {
+        Box::new(Offset(self.bias_m_s2.into()))
+    }
+}
+
+/// Adds the same to every reading.
+#[derive(Debug)]
+pub(super) struct Offset(pub Vec3<f64>);
+
+impl SensorEffect for Offset {
+    #[inline]
+    fn apply(&mut self, reading: Vec3<f64>, _: &Moment) -> Vec3<f64> {
+        reading + self.0
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::effects::sensor::testing::{at_rest, build};
+    use flight_core::geometry::vec3;
+
+    #[test]
+    fn integrates_to_the_figures_of_the_papers_equations_2_and_3() {
+        let milli_g = 9.80665e-3;
+        let mut accel = build(&AccelConstantBias { bias_m_s2: [milli_g, 0.0, 0.0] }, 1000.0);
+        let mut gyro = build(&GyroConstantBias { bias_deg_s: [1.0 / 3600.0, 0.0, 0.0] }, 1000.0);
+        let (dt, mut speed, mut way, mut angle, mut tilt_speed, mut tilt_way) =
+            (1e-3, 0.0, 0.0, 0.0, 0.0, 0.0);
+        at_rest(|at| {
+            for _ in 0..60_000 {
+                speed += accel.apply(Vec3::ZERO, at).x * dt;
+                way += speed * dt;
+                angle += gyro.apply(Vec3::ZERO, at).x * dt;
+                tilt_speed += 9.80665 * angle * dt;
+                tilt_way += tilt_speed * dt;
+            }
+        });
+        // b t²/2 and g b t³/6.
+        assert!((way - 17.65).abs() < 5e-3 && (tilt_way - 1.7116).abs() < 5e-4, "{way} {tilt_way}");
+        at_rest(|at| assert_eq!(accel.apply(vec3(1.0, 2.0, 3.0), at), vec3(1.0 + milli_g, 2.0, 3.0)));
+    }
+}

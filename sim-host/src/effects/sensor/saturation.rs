@@ -1,0 +1,79 @@
+//! Saturation: |y| never exceeds the full scale.
+//!
+//! For a range tighter than that of the chip's converter, which saturates by itself.
+
+use flight_core::geometry::{Vec3, vec3};
+use serde::Deserialize;
+
+use super::DEG;
+use crate::effects::{BoxedSensorEffect, Build, Moment, Recipe, SensorEffect};
+use crate::input_error::InputError;
+use crate::scene::check;
+use crate::vehicle::GRAVITY;
+
+/// `[effects.gyro.saturation]`
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct GyroSaturation {
+    /// Full scale, deg/s.
+    pub full_scale_deg_s: f64,
+}
+
+/// `[effects.accel.saturation]`
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct AccelSaturation {
+    /// Full scale, g.
+    pub full_scale_g: f64,
+}
+
+impl Recipe for GyroSaturation {
+    type Effect = BoxedSensorEffect;
+
+    fn validate(&self, key: &str) -> Result<(), InputError> {
+        check::one(key, "full_scale_deg_s", self.full_scale_deg_s, 1.0, 1e5, "deg/s")
+    }
+
+    fn build(&self, _: &Build) -> BoxedSensorEffect {
+        Box::new(Limit(self.full_scale_deg_s * DEG))
+    }
+}
+
+impl Recipe for AccelSaturation {
+    type Effect = BoxedSensorEffect;
+
+    fn validate(&self, key: &str) -> Result<(), InputError> {
+        check::one(key, "full_scale_g", self.full_scale_g, 0.1, 1e3, "g")
+    }
+
+    fn build(&self, _: &Build) -> BoxedSensorEffect {
+        Box::new(Limit(self.full_scale_g * GRAVITY))
+    }
+}
+
+struct Limit(f64);
+
+impl SensorEffect for Limit {
+    #[inline]
+    fn apply(&mut self, reading: Vec3<f64>, _: &Moment) -> Vec3<f64> {
+        let limited = |y: f64| y.clamp(-self.0, self.0);
+        vec3(limited(reading.x), limited(reading.y), limited(reading.z))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::effects::sensor::testing::{at_rest, build};
+
+    #[test]
+    fn reads_the_full_scale_beyond_it_and_the_truth_within() {
+        let mut gyro = build(&GyroSaturation { full_scale_deg_s: 250.0 }, 100.0);
+        let mut accel = build(&AccelSaturation { full_scale_g: 2.0 }, 100.0);
+        at_rest(|at| {
+            let (low, high) = (-250.0 * DEG, 250.0 * DEG);
+            assert_eq!(gyro.apply(vec3(-300.0, 100.0, 251.0) * DEG, at), vec3(low, 100.0 * DEG, high));
+            assert_eq!(accel.apply(vec3(-20.0, 19.6, 1e9), at), vec3(-19.6133, 19.6, 19.6133));
+        });
+    }
+}

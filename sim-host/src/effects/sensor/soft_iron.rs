@@ -1,0 +1,70 @@
+//! Soft iron: parts of the vehicle that are not magnets themselves bend the field that they are in.
+//!
+//! m ← S m, S a 3×3 matrix in body axes, near the identity. A sphere of readings becomes an ellipsoid. The
+//! same matrix carries the magnetometer's gains (diagonal) and skewed axes.
+
+use flight_core::geometry::{Mat3, Vec3};
+use serde::Deserialize;
+
+use crate::effects::{BoxedSensorEffect, Build, Moment, Recipe, SensorEffect};
+use crate::input_error::InputError;
+use crate::scene::check;
+
+/// `[effects.mag.soft_iron]`
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SoftIron {
+    /// S, row by row, µT read per µT there.
+    pub matrix: [[f64; 3]; 3],
+}
+
+impl Recipe for SoftIron {
+    type Effect = BoxedSensorEffect;
+
+    fn validate(&self, key: &str) -> Result<(), InputError> {
+        check::each(key, "matrix", self.matrix.into_iter().flatten(), -10.0, 10.0, "µT/µT")?;
+        // A reflection or a plane is no iron: no calibration could take it out.
+        let determinant = Mat3::from_rows(self.matrix).determinant();
+        check::one(key, "matrix", determinant, 1e-3, 1e3, "in its determinant")
+    }
+
+    fn build(&self, _: &Build) -> BoxedSensorEffect {
+        Box::new(Bend(Mat3::from_rows(self.matrix)))
+    }
+}
+
+struct Bend(Mat3<f64>);
+
+impl SensorEffect for Bend {
+    fn apply(&mut self, reading: Vec3<f64>, _: &Moment) -> Vec3<f64> {
+        self.0 * reading
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::effects::sensor::testing::{at_rest, build};
+    use flight_core::geometry::vec3;
+
+    #[test]
+    fn the_columns_are_what_unit_fields_read() {
+        let matrix = [[1.1, 0.02, -0.03], [0.04, 0.9, 0.05], [-0.06, 0.07, 1.2]];
+        let mut effect = build(&SoftIron { matrix }, 100.0);
+        at_rest(|at| {
+            assert_eq!(effect.apply(Vec3::X, at), vec3(1.1, 0.04, -0.06));
+            let read = effect.apply(vec3(25.0, 3.0, 41.0), at);
+            // By hand: 27.5 + 0.06 − 1.23; 1 + 2.7 + 2.05; −1.5 + 0.21 + 49.2.
+            assert!((read - vec3(26.33, 5.75, 47.91)).norm() < 1e-12, "{read:?}");
+        });
+    }
+
+    #[test]
+    fn a_matrix_that_flattens_or_reflects_is_refused() {
+        for last in [0.0, -1.0] {
+            let matrix = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, last]];
+            let said = SoftIron { matrix }.validate("effects.mag.soft_iron").unwrap_err().to_string();
+            assert!(said.contains("determinant"), "{said}");
+        }
+    }
+}

@@ -1,0 +1,92 @@
+//! Motor failure: from `at_s` on a rotor reaches at most a share of its full speed.
+//!
+//! Ω_wanted ≤ `limit` Ω_max from then on; 0 stops it, 0.5 is a motor that lost a phase or a chipped
+//! propeller's worth of current limit. The rotor follows with the motor's lag, as it does any command.
+//!
+//! Source: a limit on the command; no model of what broke.
+
+use serde::Deserialize;
+
+use super::{CommandEffect, VehicleEffect};
+use crate::effects::{Build, Moment, Recipe};
+use crate::input_error::InputError;
+use crate::scene::check;
+
+/// `[effects.vehicle.motor_failure]`
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct MotorFailure {
+    /// 1 front left, 2 front right, 3 rear right, 4 rear left.
+    pub rotor: u32,
+    /// Since the start of the scene, s.
+    pub at_s: f64,
+    /// Share of full speed that is left, 0 to 1; 0, it stops, without it.
+    #[serde(default)]
+    pub limit: f64,
+}
+
+impl Recipe for MotorFailure {
+    type Effect = VehicleEffect;
+
+    fn validate(&self, key: &str) -> Result<(), InputError> {
+        if !(1..=4).contains(&self.rotor) {
+            return Err(InputError::new(
+                "must be 1 (front left), 2 (front right), 3 (rear right) or 4 (rear left)",
+            )
+            .field(format!("{key}.rotor"))
+            .value(self.rotor));
+        }
+        check::one(key, "at_s", self.at_s, 0.0, 1e6, "s")?;
+        check::one(key, "limit", self.limit, 0.0, 1.0, "of full speed")
+    }
+
+    fn build(&self, with: &Build) -> VehicleEffect {
+        VehicleEffect::Command(Box::new(Failure {
+            rotor: self.rotor as usize - 1,
+            // In the middle of the step before, where no rounding of the time reaches.
+            after_s: self.at_s - 0.5 * with.interval_s(),
+            limit_rad_s: self.limit * with.vehicle.max_rad_s,
+        }))
+    }
+}
+
+struct Failure {
+    rotor: usize,
+    after_s: f64,
+    limit_rad_s: f64,
+}
+
+impl CommandEffect for Failure {
+    fn apply(&mut self, wanted: &mut [f64; 4], at: &Moment) {
+        if at.time_s > self.after_s {
+            let wanted = &mut wanted[self.rotor];
+            *wanted = wanted.min(self.limit_rad_s);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::effects::vehicle::testing::{STATE, command, moment};
+
+    #[test]
+    fn limits_its_rotor_from_its_time_on() {
+        for (limit, left) in [(0.0, 0.0), (0.5, 159.5), (1.0, 225.0)] {
+            let mut failure = command(&MotorFailure { rotor: 3, at_s: 2.0, limit });
+            let mut at = |time_s| {
+                let mut wanted = [225.0; 4];
+                failure.apply(&mut wanted, &moment(&STATE, time_s, [225.0; 4]));
+                wanted
+            };
+            assert_eq!(at(1.999), [225.0; 4]);
+            assert_eq!(at(2.0), [225.0, 225.0, left, 225.0]);
+        }
+    }
+
+    #[test]
+    fn refuses_a_fifth_rotor() {
+        let error = MotorFailure { rotor: 5, at_s: 2.0, limit: 0.0 }.validate("k").unwrap_err().to_string();
+        assert!(error.starts_with("k.rotor = 5: must be 1"), "{error}");
+    }
+}

@@ -1,0 +1,114 @@
+//! Sensor presets: the converters of the chips, and the figures of their errors.
+//!
+//! A preset gives figures; a scene names effects. `imu = "paper"` alone adds no error: it sets the converters,
+//! and an effect that the scene names without figures takes the preset's.
+
+use std::path::Path;
+
+use serde::Deserialize;
+use toml::de::{DeTable, DeValue};
+
+use super::check;
+use super::effects::Effects;
+use super::source::{self, Sources};
+use crate::input_error::InputError;
+use crate::sensors::Converter;
+
+macro_rules! presets {
+    ($($name:literal),+ $(,)?) => {
+        &[$(($name, include_str!(concat!("../../imus/", $name, ".toml")))),+]
+    };
+}
+
+/// The built-in presets.
+pub const PRESETS: &[(&str, &str)] = presets!["paper", "icm-42688-p", "mpu-6050", "bmi088", "adis16448"];
+
+/// What `scene.imu` says, if the table says it.
+pub fn name_in(scene: &DeTable<'_>) -> Option<String> {
+    match scene.get("scene")?.get_ref() {
+        DeValue::Table(table) => source::string(table, "imu"),
+        _ => None,
+    }
+}
+
+/// Name and text of a built-in preset, or of a file beside the scene.
+pub fn find(imu: &str, scene: &Path) -> Result<(String, String), InputError> {
+    if let Some((name, text)) = PRESETS.iter().find(|(name, _)| *name == imu) {
+        return Ok((format!("imu {name}"), (*text).into()));
+    }
+    let path = scene.with_file_name(imu);
+    if imu.ends_with(".toml") {
+        let text = std::fs::read_to_string(&path).map_err(|error| {
+            InputError::new(format!("cannot be read: {error}"))
+                .file(scene)
+                .field("scene.imu")
+                .value(path.display())
+        })?;
+        return Ok((path.display().to_string(), text));
+    }
+    Err(check::unknown("scene.imu", imu, PRESETS.iter().map(|preset| preset.0)).file(scene))
+}
+
+/// A preset file.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ImuPreset {
+    gyro: GyroChip,
+    accel: AccelChip,
+    mag: MagChip,
+    /// Figures for the effects that a scene names. Checked here even if no scene does.
+    #[serde(default)]
+    effects: Effects,
+}
+
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct GyroChip {
+    lsb_per_deg_s: f64,
+}
+
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct AccelChip {
+    lsb_per_g: f64,
+}
+
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct MagChip {
+    lsb_per_gauss: f64,
+}
+
+impl ImuPreset {
+    /// Reads and checks a preset; returns with it the table of its effects.
+    pub fn read<'a>(
+        sources: &mut Sources<'a>,
+        name: &str,
+        text: &'a str,
+    ) -> Result<(Self, DeTable<'a>), InputError> {
+        let table = sources.add(name, text)?;
+        let preset: Self = sources.read(table.clone())?;
+        for (field, value) in [
+            ("gyro.lsb_per_deg_s", preset.gyro.lsb_per_deg_s),
+            ("accel.lsb_per_g", preset.accel.lsb_per_g),
+            ("mag.lsb_per_gauss", preset.mag.lsb_per_gauss),
+        ] {
+            check::within(field, value, 0.1, 1e6, "counts").map_err(|error| error.file(name))?;
+        }
+        preset.effects.validate().map_err(|error| error.file(name))?;
+        let effects = match table.get("effects").map(|effects| effects.get_ref()) {
+            Some(DeValue::Table(effects)) => effects.clone(),
+            _ => DeTable::new(),
+        };
+        Ok((preset, effects))
+    }
+
+    /// Gyroscope (rad/s), accelerometer (m/s²), magnetometer (µT; 1 G is 100 µT).
+    pub fn converters(&self) -> [Converter; 3] {
+        [
+            Converter { per_count: std::f64::consts::PI / 180.0 / self.gyro.lsb_per_deg_s },
+            Converter { per_count: crate::vehicle::GRAVITY / self.accel.lsb_per_g },
+            Converter { per_count: 100.0 / self.mag.lsb_per_gauss },
+        ]
+    }
+}

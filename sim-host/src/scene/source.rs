@@ -1,0 +1,131 @@
+//! TOML from several files, merged, with every value still knowing the line it came from.
+//!
+//! A scene may include another and override it, and an effect that it names takes from the sensor's preset
+//! the figures that it doesn't give. The merge is of tables, key by key. The spans of the second and further
+//! texts are shifted behind the first's, so that one number says file and line.
+
+use serde::de::DeserializeOwned;
+use toml::Spanned;
+use toml::de::{DeTable, DeValue, Deserializer};
+
+use super::check::with_suggestion;
+use crate::input_error::InputError;
+
+/// The texts that a scene was put together from.
+#[derive(Default)]
+pub struct Sources<'a> {
+    /// Name, text, and where the text's spans begin.
+    texts: Vec<(String, &'a str, usize)>,
+}
+
+impl<'a> Sources<'a> {
+    /// Reads one more text.
+    pub fn add(&mut self, name: &str, text: &'a str) -> Result<DeTable<'a>, InputError> {
+        let base = self.texts.last().map_or(0, |(_, text, base)| base + text.len() + 1);
+        self.texts.push((name.into(), text, base));
+        let table = DeTable::parse(text).map_err(|error| {
+            let span = error.span().map(|span| span.start + base);
+            self.error(error.message(), span)
+        })?;
+        Ok(shifted(table.into_inner(), base))
+    }
+
+    /// Turns a table into what it describes.
+    pub fn read<T: DeserializeOwned>(&self, table: DeTable<'a>) -> Result<T, InputError> {
+        T::deserialize(Deserializer::from(Spanned::new(0..0, table)))
+            .map_err(|error| self.error(error.message(), error.span().map(|span| span.start)))
+    }
+
+    fn error(&self, message: &str, at: Option<usize>) -> InputError {
+        let one_line = message.split_whitespace().collect::<Vec<_>>().join(" ");
+        let said = InputError::new(with_suggestion(&one_line));
+        let Some((name, text, base)) =
+            self.texts.iter().rev().find(|(_, _, base)| at.is_none_or(|at| at >= *base))
+        else {
+            return said;
+        };
+        let said = said.file(name);
+        // A span of 0 with 0 is the whole table: something is missing from it, not wrong in it.
+        match at {
+            None | Some(0) => said,
+            Some(at) => {
+                let before = &text[..(at - base).min(text.len())];
+                said.line(1 + before.matches('\n').count() as u64)
+            }
+        }
+    }
+}
+
+/// The string at the top of a text under `key`, if there is one.
+pub fn text_at(name: &str, text: &str, key: &str) -> Result<Option<String>, InputError> {
+    let table = Sources::default().add(name, text)?;
+    Ok(string(&table, key))
+}
+
+/// The string in a table under `key`, if there is one.
+pub fn string(table: &DeTable<'_>, key: &str) -> Option<String> {
+    match table.get(key)?.get_ref() {
+        DeValue::String(text) => Some(text.to_string()),
+        _ => None,
+    }
+}
+
+fn shifted(table: DeTable<'_>, by: usize) -> DeTable<'_> {
+    let moved = |span: std::ops::Range<usize>| span.start + by..span.end + by;
+    table
+        .into_iter()
+        .map(|(key, value)| {
+            let (key_span, value_span) = (moved(key.span()), moved(value.span()));
+            let value = match value.into_inner() {
+                DeValue::Table(inner) => DeValue::Table(shifted(inner, by)),
+                other => other,
+            };
+            (Spanned::new(key_span, key.into_inner()), Spanned::new(value_span, value))
+        })
+        .collect()
+}
+
+/// `over` on top of `under`: tables are merged, everything else is replaced.
+pub fn merge<'a>(over: DeTable<'a>, mut under: DeTable<'a>) -> DeTable<'a> {
+    for (key, value) in over {
+        let below = under.remove(&key);
+        let value = match (value, below) {
+            (value, Some(below)) => {
+                let span = value.span();
+                match (value.into_inner(), below.into_inner()) {
+                    (DeValue::Table(value), DeValue::Table(below)) => {
+                        Spanned::new(span, DeValue::Table(merge(value, below)))
+                    }
+                    (value, _) => Spanned::new(span, value),
+                }
+            }
+            (value, None) => value,
+        };
+        under.insert(key, value);
+    }
+    under
+}
+
+/// Gives every table of `over` that stands two levels deep (`gyro.white_noise`) the keys it lacks from the
+/// table of that name in `under`. What `over` does not name stays unnamed.
+pub fn complete<'a>(over: &mut DeTable<'a>, under: &DeTable<'a>) {
+    for (key, group) in over.iter_mut() {
+        let (DeValue::Table(group), Some(DeValue::Table(preset))) =
+            (group.get_mut(), under.get(key).map(Spanned::get_ref))
+        else {
+            continue;
+        };
+        for (key, effect) in group.iter_mut() {
+            let (DeValue::Table(effect), Some(DeValue::Table(preset))) =
+                (effect.get_mut(), preset.get(key).map(Spanned::get_ref))
+            else {
+                continue;
+            };
+            for (key, value) in preset {
+                if !effect.contains_key(key) {
+                    effect.insert(key.clone(), value.clone());
+                }
+            }
+        }
+    }
+}

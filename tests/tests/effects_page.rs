@@ -1,0 +1,136 @@
+//! `docs/effects.md` against the program: it has a row for every effect, in order, with every key.
+
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+
+use sim_host::scene::{BUILT_IN, Scene};
+
+/// The shortest scene that there is.
+const BARE: &str = "[scene]\nduration_s = 1.0\nseed = 1\nvehicle = \"os4\"\nimu = \"paper\"\n";
+
+fn workspace() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
+}
+
+fn page() -> String {
+    let path = workspace().join("docs/effects.md");
+    std::fs::read_to_string(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
+}
+
+/// Every effect, in order of application.
+fn every_effect() -> Vec<&'static str> {
+    let text = include_str!("../../sim-host/benches/every_effect.toml");
+    let scene = Scene::parse("every_effect.toml", text).expect("a valid scene");
+    assert!(scene.left_out().is_empty(), "not in every_effect.toml: {:?}", scene.left_out());
+    scene.effects()
+}
+
+/// The rows of the page's tables that are about an effect: its name, and the row.
+fn rows(text: &str) -> Vec<(&str, &str)> {
+    let row = |line| Some((str::split_once(str::strip_prefix(line, "| `")?, "` |")?.0, line));
+    text.lines().filter_map(row).collect()
+}
+
+/// The section with one row for each effect.
+fn section(page: &str) -> &str {
+    let (_, from) = page.split_once("\n## The effects\n").expect("the section of the effects");
+    from.split_once("\n## ").expect("a section behind it").0
+}
+
+/// What is in backticks.
+fn quoted(text: &str) -> impl Iterator<Item = &str> {
+    text.split('`').skip(1).step_by(2)
+}
+
+/// The keys that the table behind `header` takes, as the program lists them when it is given another.
+fn keys(header: &str) -> BTreeSet<String> {
+    let said = Scene::parse("bare", &format!("{BARE}{header}\nno_such_key = 1\n")).unwrap_err().to_string();
+    assert!(said.contains("unknown field `no_such_key`"), "{header}: {said}");
+    quoted(&said).filter(|key| *key != "no_such_key").map(str::to_owned).collect()
+}
+
+#[test]
+fn every_effect_has_its_row_in_order_and_no_other_has_one() {
+    let page = page();
+    let named: Vec<&str> = rows(section(&page)).into_iter().map(|(name, _)| name).collect();
+    assert_eq!(named, every_effect());
+
+    let exist: BTreeSet<&str> = every_effect().into_iter().collect();
+    for built_in in BUILT_IN {
+        let scene = Scene::load(built_in.name).unwrap();
+        let all: BTreeSet<&str> = scene.effects().into_iter().chain(scene.left_out()).collect();
+        assert_eq!(all, exist, "{}", built_in.name);
+    }
+    for (name, _) in rows(&page) {
+        assert!(exist.contains(name), "there is no {name}");
+    }
+}
+
+#[test]
+fn every_key_stands_in_the_row_of_its_effect() {
+    let page = page();
+    let mut count = 0;
+    for (name, row) in rows(section(&page)).into_iter().filter(|(name, _)| !name.starts_with("fault.")) {
+        for key in keys(&format!("[effects.{name}]")) {
+            assert!(quoted(row).any(|quoted| quoted == key), "the row of {name} has no `{key}`");
+            count += 1;
+        }
+    }
+    assert!(count > 70, "only {count} keys");
+
+    let (_, faults) = section(&page).split_once("\n### Faults\n").expect("the faults");
+    for key in keys("[[fault]]") {
+        assert!(quoted(faults).any(|quoted| quoted == key), "the faults have no `{key}`");
+    }
+}
+
+/// The scenes of the ablations name what their tables leave out, and nothing more.
+#[test]
+fn ablations_leave_out_what_their_scenes_name() {
+    let page = page();
+    let mut scenes = 0;
+    for built_in in BUILT_IN {
+        let Some((_, table)) = page.split_once(&format!("\n### `{}`\n", built_in.name)) else { continue };
+        let table = table.split_once("\n#").map_or(table, |(table, _)| table);
+        let named: Vec<&str> = rows(table).into_iter().map(|(name, _)| name).collect();
+        assert_eq!(named, Scene::load(built_in.name).unwrap().effects(), "{}", built_in.name);
+        scenes += 1;
+    }
+    assert_eq!(scenes, 3);
+}
+
+#[test]
+fn footnotes_and_links_lead_somewhere() {
+    let page = page();
+    let notes = |text: &str| -> BTreeSet<String> {
+        text.split("[^")
+            .skip(1)
+            .filter_map(|rest| rest.split_once(']'))
+            .map(|(note, _)| note.into())
+            .collect()
+    };
+    let is_definition = |line: &&str| line.starts_with("[^");
+    let text: Vec<&str> = page.lines().filter(|line| !is_definition(line)).collect();
+    let definitions: BTreeSet<String> = page
+        .lines()
+        .filter(is_definition)
+        .map(|line| line.trim_start_matches("[^").split_once("]: ").expect("a footnote").0.to_owned())
+        .collect();
+    assert_eq!(notes(&text.join("\n")), definitions);
+
+    // The anchor of a heading: lower case, no punctuation, hyphens for spaces.
+    let anchors: BTreeSet<String> = page
+        .lines()
+        .filter_map(|line| line.strip_prefix('#').map(|title| title.trim_start_matches('#').trim()))
+        .map(|title| {
+            let kept = |c: &char| c.is_alphanumeric() || matches!(c, ' ' | '-' | '_');
+            title.to_lowercase().chars().filter(kept).map(|c| if c == ' ' { '-' } else { c }).collect()
+        })
+        .collect();
+    for (target, _) in page.split("](").skip(1).filter_map(|rest| rest.split_once(')')) {
+        match target.strip_prefix('#') {
+            Some(anchor) => assert!(anchors.contains(anchor), "no heading for #{anchor}"),
+            None => assert!(workspace().join("docs").join(target).exists(), "no file {target}"),
+        }
+    }
+}
