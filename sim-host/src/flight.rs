@@ -263,7 +263,7 @@ impl Flight {
             None
         };
         if OPTIONAL && !self.link.is_empty() {
-            rc = deliver(&mut self.link, rc);
+            deliver(&mut self.link, &mut rc);
         }
         let battery = self
             .vehicle

@@ -99,9 +99,10 @@ pub fn run(scene: &Scene, seed: u64, rate_hz: u32, out: Option<&mut LogWriter>) 
         }
         let mut sampler = Sampler::new(scene, seed, rate_hz, out);
         let vehicle = Vehicle::at_rest(scene.vehicle, scene.mount(), vec![], 1e-3);
+        let at_rest = vehicle.moment();
         let samples = libm::round(scene.duration_s * f64::from(rate_hz)) as u64;
         for k in 0..samples {
-            let at = Moment { time_s: k as f64 / f64::from(rate_hz), ..vehicle.moment() };
+            let at = Moment { time_s: k as f64 / f64::from(rate_hz), ..at_rest };
             sampler.sample(&at, true);
         }
         sampler

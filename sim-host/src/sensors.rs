@@ -129,7 +129,9 @@ impl Sensors {
         if !OPTIONAL || self.mag_delivery.is_empty() {
             Some(sample)
         } else {
-            deliver(&mut self.mag_delivery, Some(sample))
+            let mut arrived = Some(sample);
+            deliver(&mut self.mag_delivery, &mut arrived);
+            arrived
         }
     }
 
@@ -152,18 +154,18 @@ impl Sensors {
                 self.imu_at(&Moment { time_s, state: &state, specific_force, ..*at })
             }
         };
-        *arrived = deliver(&mut self.imu_delivery, Some(sample));
+        *arrived = Some(sample);
+        deliver(&mut self.imu_delivery, arrived);
     }
 }
 
-/// What is left of a sample, or of its absence, behind these effects.
+/// Leaves of a sample, or of its absence, what these effects leave of it.
 #[inline(never)]
-pub fn deliver<T>(effects: &mut [BoxedDelivery<T>], mut sample: Option<T>) -> Option<T> {
+pub fn deliver<T>(effects: &mut [BoxedDelivery<T>], sample: &mut Option<T>) {
     // To the end even when nothing is left: every effect counts its steps.
     for effect in effects {
-        sample = effect.step(sample);
+        effect.pass(sample);
     }
-    sample
 }
 
 #[cfg(test)]

@@ -10,10 +10,11 @@ pub type Counts<T> = fn(&mut T) -> &mut [i16; 3];
 pub struct Dead(pub Window);
 
 impl<T> Delivery<T> for Dead {
-    fn step(&mut self, sample: Option<T>) -> Option<T> {
+    fn pass(&mut self, sample: &mut Option<T>) {
         // Asked at every step, whether or not it brings something: that is what counts the steps.
-        let inside = self.0.next_is_inside();
-        sample.filter(|_| !inside)
+        if self.0.next_is_inside() {
+            *sample = None;
+        }
     }
 }
 
@@ -27,9 +28,12 @@ pub struct InvalidCode<T> {
 }
 
 impl<T: Copy + Send> Delivery<T> for InvalidCode<T> {
-    fn step(&mut self, sample: Option<T>) -> Option<T> {
-        let inside = self.window.next_is_inside();
-        sample.map(|sample| if inside { self.sample } else { sample })
+    fn pass(&mut self, sample: &mut Option<T>) {
+        if self.window.next_is_inside()
+            && let Some(sample) = sample
+        {
+            *sample = self.sample;
+        }
     }
 }
 
@@ -47,14 +51,13 @@ pub struct StuckAxis<T> {
 }
 
 impl<T: Send> Delivery<T> for StuckAxis<T> {
-    fn step(&mut self, mut sample: Option<T>) -> Option<T> {
+    fn pass(&mut self, sample: &mut Option<T>) {
         if self.window.next_is_inside()
-            && let Some(sample) = &mut sample
+            && let Some(sample) = sample
         {
             let count = &mut (self.counts)(sample)[self.axis];
             *count = *self.held.get_or_insert(*count);
         }
-        sample
     }
 }
 
@@ -72,14 +75,13 @@ pub struct Spike<T> {
 }
 
 impl<T: Send> Delivery<T> for Spike<T> {
-    fn step(&mut self, mut sample: Option<T>) -> Option<T> {
+    fn pass(&mut self, sample: &mut Option<T>) {
         if self.window.next_is_inside()
-            && let Some(sample) = &mut sample
+            && let Some(sample) = sample
         {
             let count = &mut (self.counts)(sample)[self.axis];
             *count = count.saturating_add(self.by);
         }
-        sample
     }
 }
 
@@ -93,15 +95,12 @@ pub struct RepeatedSample<T> {
 }
 
 impl<T: Copy + Send> Delivery<T> for RepeatedSample<T> {
-    fn step(&mut self, sample: Option<T>) -> Option<T> {
+    fn pass(&mut self, sample: &mut Option<T>) {
         let inside = self.window.next_is_inside();
-        let sample = sample?;
-        match (inside, self.last) {
-            (true, Some(last)) => Some(last),
-            _ => {
-                self.last = Some(sample);
-                Some(sample)
-            }
+        let Some(sample) = sample else { return };
+        match self.last {
+            Some(last) if inside => *sample = last,
+            _ => self.last = Some(*sample),
         }
     }
 }

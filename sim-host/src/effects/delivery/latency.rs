@@ -41,14 +41,14 @@ struct Queue<T> {
 }
 
 impl<T: Send> Delivery<T> for Queue<T> {
-    fn step(&mut self, sample: Option<T>) -> Option<T> {
+    fn pass(&mut self, sample: &mut Option<T>) {
         let now = self.step;
         self.step += 1;
-        if let Some(sample) = sample {
+        if let Some(sample) = sample.take() {
             self.waiting.push_back((now + self.steps, sample));
         }
         // One comes in a step at most, so one goes out at most.
-        self.waiting.pop_front_if(|(due, _)| *due <= now).map(|(_, sample)| sample)
+        *sample = self.waiting.pop_front_if(|(due, _)| *due <= now).map(|(_, sample)| sample);
     }
 }
 

@@ -40,9 +40,11 @@ struct Gaps {
 }
 
 impl<T> Delivery<T> for Gaps {
-    fn step(&mut self, sample: Option<T>) -> Option<T> {
+    fn pass(&mut self, sample: &mut Option<T>) {
         // The draw is in (0, 1]: with p = 0 nothing is lost, with p = 1 everything.
-        sample.filter(|_| self.stream.draw() > self.probability)
+        if sample.is_some() && self.stream.draw() <= self.probability {
+            *sample = None;
+        }
     }
 }
 

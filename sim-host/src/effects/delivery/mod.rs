@@ -25,9 +25,15 @@ use super::BoxedSensorEffect;
 
 /// Acts on a stream of samples of type `T`.
 pub trait Delivery<T>: Send {
-    /// Takes what comes at this step, gives back what goes on. Called once a step of the
-    /// stream.
-    fn step(&mut self, sample: Option<T>) -> Option<T>;
+    /// Makes of what comes at this step what goes on. Called once a step of the stream. In place: most of the
+    /// time an effect leaves a sample alone, and then it is not moved either.
+    fn pass(&mut self, sample: &mut Option<T>);
+
+    /// The same by value.
+    fn step(&mut self, mut sample: Option<T>) -> Option<T> {
+        self.pass(&mut sample);
+        sample
+    }
 }
 
 /// A boxed [`Delivery`].
