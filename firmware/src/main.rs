@@ -119,7 +119,12 @@ mod app {
 
     #[task(priority = 1)]
     async fn announce(_: announce::Context, event: Event) {
-        defmt::info!("{}", defmt::Debug2Format(&event));
+        let (from, to, cause) = (event.from.name(), event.to.name(), event.cause.text());
+        if event.is_refusal() {
+            defmt::warn!("refused: {=str}", cause);
+        } else {
+            defmt::info!("{=str} -> {=str}: {=str}", from, to, cause);
+        }
     }
 
     #[task(priority = 1)]

@@ -3,12 +3,15 @@
 use core::fmt;
 
 use crate::STANDARD_GRAVITY;
+use crate::bench::BenchParams;
 use crate::calibration::{Calibration, Sensitivity};
 use crate::control::ControlParams;
 use crate::esc::EscParams;
 use crate::estimator::EstimatorParams;
 use crate::geometry::Mat3;
+use crate::imu_check::StuckCheck;
 use crate::mixer::Airframe;
+use crate::rc::{ArmBy, ChannelMap};
 
 /// What a [`crate::FlightController`] is built from.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -42,8 +45,36 @@ pub struct Params {
     pub control: ControlParams,
     /// Pulses.
     pub esc: EscParams,
+    /// The receiver's channels.
+    pub channels: ChannelMap,
+    /// How the pilot arms.
+    pub arm_by: ArmBy,
+    /// What is expected of the inertial sensor's noise.
+    pub stuck_check: StuckCheck,
     /// Below this voltage a flight may not start, V.
     pub min_arm_voltage_v: f32,
+    /// Below this voltage a flight must end, V.
+    pub critical_voltage_v: f32,
+    /// When the pilot is gone.
+    pub descent: DescentParams,
+    /// When a motor is turned on the bench.
+    pub bench: BenchParams,
+}
+
+/// How to come down without a pilot, or on a battery that is nearly empty.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct DescentParams {
+    /// Throttle, 0 to 1: a little less than it takes to hover.
+    pub throttle: f32,
+    /// After this long without a link the motors stop, s.
+    pub seconds: f32,
+}
+
+impl DescentParams {
+    /// OS4 hovers at 0.650 kg · 9.807 m/s² / (4 · 3.13e-5 N s² · 319² rad²/s²) = 0.500. At 95 % of that it sinks
+    /// with 5 % of its weight against the air's drag: 0.32 N over 0.25 kg/s is 1.3 m/s. From 38 m that takes
+    /// half a minute.
+    pub const OS4: Self = Self { throttle: 0.475, seconds: 30.0 };
 }
 
 /// ±2,000 °/s over 16 bits: 16.4 LSB/(°/s) (ICM-42688-P datasheet DS-000347, table 1).
@@ -68,8 +99,14 @@ impl Default for Params {
             airframe: Airframe::OS4,
             control: ControlParams::OS4,
             esc: EscParams::STANDARD,
-            // 3 cells at 3.5 V.
+            channels: ChannelMap::AETR,
+            arm_by: ArmBy::Sticks,
+            stuck_check: StuckCheck { gyro: true, accel: true },
+            // 3 cells at 3.5 V, and at 3.0 V.
             min_arm_voltage_v: 10.5,
+            critical_voltage_v: 9.0,
+            descent: DescentParams::OS4,
+            bench: BenchParams::STANDARD,
         }
     }
 }

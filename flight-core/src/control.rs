@@ -13,13 +13,15 @@ use crate::arithmetic::{max, min, sin_cos, sqrt, wrap_pi};
 use crate::config::{ConfigError, check};
 use crate::geometry::{Vec3, vec3};
 use crate::mixer::Saturation;
-use crate::rc::{Gesture, Sticks};
+use crate::rc::{FlightMode, Gesture, Sticks};
 
 /// Gains and limits of the cascade.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ControlParams {
-    /// Tilt at full stick, rad.
+    /// Tilt at full stick, rad ([`FlightMode::Angle`]).
     pub max_tilt_rad: f32,
+    /// Roll and pitch rate at full stick, rad/s ([`FlightMode::Rate`]).
+    pub max_stick_rate_rad_s: f32,
     /// Yaw rate at full stick, rad/s.
     pub max_yaw_rate_rad_s: f32,
     /// Largest roll and pitch rate that the angle loop asks for, rad/s.
@@ -47,6 +49,7 @@ impl ControlParams {
     /// step overshoots by 3 %.
     pub const OS4: Self = Self {
         max_tilt_rad: core::f32::consts::FRAC_PI_4,
+        max_stick_rate_rad_s: core::f32::consts::PI,
         max_yaw_rate_rad_s: core::f32::consts::FRAC_PI_2,
         max_tilt_rate_rad_s: 4.5,
         tilt_p: 5.5,
@@ -59,6 +62,7 @@ impl ControlParams {
 
     fn validate(&self) -> Result<(), ConfigError> {
         check("control.max_tilt_rad", self.max_tilt_rad, 0.01, 1.4)?;
+        check("control.max_stick_rate_rad_s", self.max_stick_rate_rad_s, 0.01, 35.0)?;
         check("control.max_yaw_rate_rad_s", self.max_yaw_rate_rad_s, 0.01, 35.0)?;
         check("control.max_tilt_rate_rad_s", self.max_tilt_rate_rad_s, 0.01, 35.0)?;
         check("control.tilt_p", self.tilt_p, 0.0, 100.0)?;
@@ -87,11 +91,25 @@ const TAKE_OFF_THROTTLE: f32 = 0.1;
 /// What the cascade is to reach.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Setpoint {
-    /// Down in body axes at the wanted tilt.
-    down: Vec3<f32>,
-    /// Wanted turn about the vertical, rad/s, when the stick is out of its deadband.
-    yaw_rate: Option<f32>,
+    turn: Turn,
     throttle: f32,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Turn {
+    /// To an attitude.
+    To {
+        /// Down in body axes at the wanted tilt.
+        down: Vec3<f32>,
+        /// Wanted turn about the vertical, rad/s, when the stick is out of its deadband.
+        yaw_rate: Option<f32>,
+    },
+    /// At body rates, rad/s.
+    At(Vec3<f32>),
+}
+
+impl Setpoint {
+    const LEVEL: Self = Self { turn: Turn::To { down: Vec3::Z, yaw_rate: None }, throttle: 0.0 };
 }
 
 /// The cascade's state.
@@ -119,7 +137,7 @@ impl Controller {
         Ok(Self {
             params: *params,
             inertia_kg_m2,
-            setpoint: Setpoint { down: Vec3::Z, yaw_rate: None, throttle: 0.0 },
+            setpoint: Setpoint::LEVEL,
             heading_target: 0.0,
             integral: Vec3::ZERO,
             last_rates: Vec3::ZERO,
@@ -128,16 +146,29 @@ impl Controller {
     }
 
     /// Takes new stick positions: 50 to 150 times a second, so the sines stand here, not in [`Self::step`].
-    pub fn set_sticks(&mut self, sticks: &Sticks) {
+    pub fn set_sticks(&mut self, sticks: &Sticks, mode: FlightMode) {
+        let p = &self.params;
         // A full yaw stick at low throttle asks to arm or disarm, not to turn.
-        let turn = sticks.yaw.abs() > YAW_DEADBAND && sticks.gesture() == Gesture::None;
-        let (sin_roll, cos_roll) = sin_cos(sticks.roll * self.params.max_tilt_rad);
-        let (sin_pitch, cos_pitch) = sin_cos(-sticks.pitch * self.params.max_tilt_rad);
-        self.setpoint = Setpoint {
-            down: vec3(-sin_pitch, sin_roll * cos_pitch, cos_roll * cos_pitch),
-            yaw_rate: turn.then_some(sticks.yaw * self.params.max_yaw_rate_rad_s),
-            throttle: sticks.throttle,
+        let turns = sticks.yaw.abs() > YAW_DEADBAND && sticks.gesture() == Gesture::None;
+        let yaw_rate = turns.then_some(sticks.yaw * p.max_yaw_rate_rad_s);
+        let turn = match mode {
+            FlightMode::Angle => {
+                let (sin_roll, cos_roll) = sin_cos(sticks.roll * p.max_tilt_rad);
+                let (sin_pitch, cos_pitch) = sin_cos(-sticks.pitch * p.max_tilt_rad);
+                Turn::To { down: vec3(-sin_pitch, sin_roll * cos_pitch, cos_roll * cos_pitch), yaw_rate }
+            }
+            FlightMode::Rate => Turn::At(vec3(
+                sticks.roll * p.max_stick_rate_rad_s,
+                -sticks.pitch * p.max_stick_rate_rad_s,
+                yaw_rate.unwrap_or(0.0),
+            )),
         };
+        self.setpoint = Setpoint { turn, throttle: sticks.throttle };
+    }
+
+    /// Level, heading held, at this throttle (0 to 1), whatever the sticks last said.
+    pub fn set_level(&mut self, throttle: f32) {
+        self.setpoint = Setpoint { throttle, ..Setpoint::LEVEL };
     }
 
     /// The last throttle position, 0 to 1.
@@ -193,15 +224,23 @@ impl Controller {
         acceleration.scale_by(self.inertia_kg_m2)
     }
 
-    /// The body rates (rad/s) that the angle loop asks for.
+    /// The body rates (rad/s) that the sticks ask for, directly or through the angle loop.
     #[inline(always)]
     fn rate_setpoint(&mut self, down: Vec3<f32>, heading: f32) -> Vec3<f32> {
         let p = &self.params;
+        let (wanted, yaw_rate) = match self.setpoint.turn {
+            Turn::To { down, yaw_rate } => (down, yaw_rate),
+            Turn::At(rates) => {
+                // Back in angle mode, the heading of that moment is held.
+                self.heading_target = heading;
+                return rates;
+            }
+        };
         // Turning the body at ω moves down in body axes at −ω × down, so ω ∝ wanted × down closes the angle
         // a between them. |wanted × down| is sin a; over (1 + cos a)/2 it is 2 tan(a/2): a for small angles,
         // and still rising where sin a falls.
-        let axis = self.setpoint.down.cross(down);
-        let one_plus_cos = 1.0 + self.setpoint.down.dot(down);
+        let axis = wanted.cross(down);
+        let one_plus_cos = 1.0 + wanted.dot(down);
         let error = if one_plus_cos > 1.0e-3 {
             axis * (2.0 / one_plus_cos)
         } else {
@@ -213,7 +252,7 @@ impl Controller {
         if square > p.max_tilt_rate_rad_s * p.max_tilt_rate_rad_s {
             tilt_rate = tilt_rate * (p.max_tilt_rate_rad_s / sqrt(square));
         }
-        let yaw_rate = match self.setpoint.yaw_rate {
+        let yaw_rate = match yaw_rate {
             Some(rate) => {
                 self.heading_target = heading;
                 rate
@@ -241,7 +280,7 @@ mod tests {
 
     fn controller(sticks: Sticks) -> Controller {
         let mut c = Controller::new(&ControlParams::OS4, INERTIA).unwrap();
-        c.set_sticks(&sticks);
+        c.set_sticks(&sticks, FlightMode::Angle);
         c
     }
 
@@ -271,6 +310,22 @@ mod tests {
     }
 
     #[test]
+    fn in_rate_mode_centred_sticks_hold_any_attitude_and_deflected_ones_ask_for_their_rate() {
+        let mut c = controller(CENTRED);
+        c.set_sticks(&CENTRED, FlightMode::Rate);
+        assert_eq!(c.step(vec3(0.0, 0.6, 0.8), 2.0, Vec3::ZERO, FREE, 1e-3), Vec3::ZERO);
+        c.set_sticks(&Sticks { roll: 0.5, pitch: -0.25, yaw: 1.0, ..CENTRED }, FlightMode::Rate);
+        let p = ControlParams::OS4;
+        let asked = vec3(0.5 * p.max_stick_rate_rad_s, 0.25 * p.max_stick_rate_rad_s, p.max_yaw_rate_rad_s);
+        c.rest(asked, 0.0);
+        assert_eq!(c.step(vec3(0.0, 0.6, 0.8), 2.0, asked, FREE, 1e-3), Vec3::ZERO);
+        // Level again at the heading of that moment.
+        c.set_sticks(&CENTRED, FlightMode::Angle);
+        c.rest(Vec3::ZERO, 2.0);
+        assert_eq!(c.step(Vec3::Z, 2.0, Vec3::ZERO, FREE, 1e-3), Vec3::ZERO);
+    }
+
+    #[test]
     fn upside_down_it_turns_over() {
         let torque = controller(CENTRED).step(vec3(0.0, 0.0, -1.0), 0.0, Vec3::ZERO, FREE, 1e-3);
         assert!(torque.x.abs() > 0.1 && torque.x.is_finite());
@@ -295,9 +350,9 @@ mod tests {
     fn a_gesture_is_no_command_to_turn() {
         let mut c = controller(CENTRED);
         c.step(Vec3::Z, 0.0, Vec3::ZERO, FREE, 1e-3);
-        c.set_sticks(&Sticks { throttle: 0.0, yaw: -1.0, ..CENTRED });
+        c.set_sticks(&Sticks { throttle: 0.0, yaw: -1.0, ..CENTRED }, FlightMode::Angle);
         assert_eq!(c.step(Vec3::Z, 0.0, Vec3::ZERO, FREE, 1e-3), Vec3::ZERO);
-        c.set_sticks(&Sticks { throttle: 0.1, yaw: -1.0, ..CENTRED });
+        c.set_sticks(&Sticks { throttle: 0.1, yaw: -1.0, ..CENTRED }, FlightMode::Angle);
         assert!(c.step(Vec3::Z, 0.0, Vec3::ZERO, FREE, 1e-3).z < 0.0);
     }
 
@@ -308,9 +363,9 @@ mod tests {
             assert_eq!(c.step(vec3(0.0, 0.1, 0.995), 0.3, vec3(0.1, 0.1, 0.1), FREE, 1e-3), Vec3::ZERO);
         }
         // Once it has flown, low throttle does not take control away.
-        c.set_sticks(&CENTRED);
+        c.set_sticks(&CENTRED, FlightMode::Angle);
         c.step(Vec3::Z, 0.3, Vec3::ZERO, FREE, 1e-3);
-        c.set_sticks(&Sticks { throttle: 0.0, ..CENTRED });
+        c.set_sticks(&Sticks { throttle: 0.0, ..CENTRED }, FlightMode::Angle);
         assert!(c.step(vec3(0.0, 0.1, 0.995), 0.3, Vec3::ZERO, FREE, 1e-3).x < 0.0);
     }
 }

@@ -52,6 +52,11 @@ impl Esc {
         self.stop_us
     }
 
+    /// The pulse for a share (0 to 1) of the largest speed, without idling: for one motor on the bench, µs.
+    pub fn pulse_of_share_us(&self, share: f32) -> f32 {
+        min(max(self.stop_us + (self.full_us - self.stop_us) * share, self.stop_us), self.full_us)
+    }
+
     /// The pulse for a speed (rad/s), between idle and full, µs.
     #[inline(always)]
     pub fn pulse_us(&self, speed_rad_s: f32) -> f32 {

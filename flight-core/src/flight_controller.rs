@@ -1,16 +1,29 @@
 //! The whole chain, joined: one call for each sample of the inertial sensor.
 
-use crate::arming::{ArmState, Arming, Conditions, Event, IMU_LOST_US, RC_LOST_US};
+use crate::arithmetic::min;
+use crate::arming::table::Conditions;
+use crate::arming::{ArmState, Arming, Cause, Event};
+use crate::battery::BatteryWatch;
+use crate::bench::Bench;
 use crate::calibration::{Calibration, SensorFields, SensorModel};
 use crate::config::{Config, ConfigError, check};
 use crate::control::Controller;
 use crate::esc::Esc;
 use crate::estimator::{Estimator, EstimatorParams, GyroZero};
 use crate::geometry::{Quaternion, Vec3};
+use crate::imu_check::ImuCheck;
 use crate::mixer::{Mixer, Saturation, Wrench};
 use crate::prefilter::{Biquad, Prefilter};
-use crate::rc::{Gesture, Sticks};
-use crate::sample::{Input, Output};
+use crate::rc::request::SWITCH_OFF_TICKS;
+use crate::rc::{ArmBy, FlightMode, Gesture, Link, Requests, Sticks};
+use crate::sample::{ImuSample, Input, Output};
+
+/// Age of the last valid inertial sample at which the sensor counts as lost, µs.
+pub const IMU_LOST_US: u32 = 100_000;
+/// How long a missed deadline of the board's tasks stands against arming, µs.
+const OVERLOAD_US: u32 = 1_000_000;
+/// cos 25°: further from level than this, arming is refused.
+const ARM_COS_TILT: f32 = 0.906_308;
 
 /// The flight controller. It holds no clock: all time comes in with [`Input::time_us`].
 #[derive(Clone, Debug)]
@@ -28,18 +41,30 @@ pub struct FlightController {
     mixer: Mixer,
     esc: Esc,
     arming: Arming,
-    min_arm_voltage_v: f32,
+    link: Link,
+    requests: Requests,
+    arm_by: ArmBy,
+    imu_check: ImuCheck,
+    battery: BatteryWatch,
+    bench: Bench,
+    calibrated: bool,
+    descent_throttle: f32,
 
     /// Prefiltered body rates less the bias, rad/s.
     rates: Vec3<f32>,
+    /// The pilot's last sticks, and what else the last frame said.
+    sticks: Sticks,
     gesture: Gesture,
-    battery_low: bool,
+    arm_switch: u16,
+    mode: FlightMode,
     saturation: Saturation,
     pulses_us: [f32; 4],
     time_us: Option<u64>,
-    /// Time since the last inertial sample and receiver frame; the largest number before the first.
+    /// Time since the last valid inertial sample; the largest number before the first.
     imu_age_us: u32,
-    rc_age_us: u32,
+    /// Deadlines that had been missed up to the last step, and the time since the last one.
+    missed_deadlines: u32,
+    missed_age_us: u32,
 }
 
 impl FlightController {
@@ -53,6 +78,10 @@ impl FlightController {
         check("imu_rate_hz", p.imu_rate_hz, 10.0, 32_000.0)?;
         check("mag_rate_hz", p.mag_rate_hz, 1.0, p.imu_rate_hz)?;
         check("min_arm_voltage_v", p.min_arm_voltage_v, 0.0, 100.0)?;
+        check("critical_voltage_v", p.critical_voltage_v, 0.0, p.min_arm_voltage_v)?;
+        check("descent.throttle", p.descent.throttle, 0.0, 1.0)?;
+        check("descent.seconds", p.descent.seconds, 0.1, 600.0)?;
+        p.channels.validate()?;
         let design = |rate_hz| {
             let section = p.prefilter_cutoff_hz.map(|cutoff_hz| Biquad::butterworth(cutoff_hz, rate_hz));
             Ok::<_, ConfigError>(Prefilter::new(section.transpose()?))
@@ -71,16 +100,26 @@ impl FlightController {
             controller: Controller::new(&p.control, p.airframe.inertia_kg_m2)?,
             mixer: Mixer::new(&p.airframe)?,
             esc,
-            arming: Arming::default(),
-            min_arm_voltage_v: p.min_arm_voltage_v,
+            arming: Arming::new((p.descent.seconds * 1.0e6) as u32),
+            link: Link::default(),
+            requests: Requests::default(),
+            arm_by: p.arm_by,
+            imu_check: ImuCheck::new(p.stuck_check, p.imu_rate_hz),
+            battery: BatteryWatch::new(p.min_arm_voltage_v, p.critical_voltage_v),
+            bench: Bench::new(&p.bench)?,
+            calibrated: config.calibration.is_some(),
+            descent_throttle: p.descent.throttle,
             rates: Vec3::ZERO,
+            sticks: Sticks::default(),
             gesture: Gesture::None,
-            battery_low: false,
+            arm_switch: SWITCH_OFF_TICKS,
+            mode: FlightMode::Angle,
             saturation: Saturation::default(),
             pulses_us: [esc.stop_us(); 4],
             time_us: None,
             imu_age_us: u32::MAX,
-            rc_age_us: u32::MAX,
+            missed_deadlines: 0,
+            missed_age_us: u32::MAX,
         })
     }
 
@@ -90,57 +129,93 @@ impl FlightController {
     /// here, it ages. A step whose time is not after the last one's repeats the last output.
     #[inline]
     pub fn step(&mut self, input: &Input) -> Output {
-        let dt_us = match self.time_us {
+        let (first, dt_us) = match self.time_us {
             Some(last) if input.time_us <= last => return self.output(None),
             // After more than a second everything is lost anyway.
-            Some(last) => (input.time_us - last).min(1_000_000) as u32,
-            None => 0,
+            Some(last) => (false, (input.time_us - last).min(1_000_000) as u32),
+            None => (true, 0),
         };
-        let dt_s = dt_us as f32 * 1.0e-6;
         self.time_us = Some(input.time_us);
-        self.imu_age_us = self.imu_age_us.saturating_add(dt_us);
-        self.rc_age_us = self.rc_age_us.saturating_add(dt_us);
 
-        if let Some(frame) = &input.rc {
-            self.rc_age_us = 0;
-            let sticks = Sticks::from_frame(frame);
-            self.gesture = sticks.gesture();
-            self.controller.set_sticks(&sticks);
+        self.listen(input, dt_us);
+        self.watch(input, dt_us);
+        self.estimate(input, dt_us);
+        let event = self.arming.update(self.conditions(input, first), dt_us);
+        if let Some(event) = event {
+            self.enter(event);
         }
-        if let Some(battery) = input.battery {
-            self.battery_low = battery.voltage_v < self.min_arm_voltage_v;
+        match self.arming.state() {
+            ArmState::Armed | ArmState::Descent => self.control(dt_us as f32 * 1.0e-6),
+            ArmState::Bench => {
+                self.rest();
+                if let Some((rotor, share)) = self.bench.speed() {
+                    for (index, pulse_us) in self.pulses_us.iter_mut().enumerate() {
+                        if index == rotor {
+                            *pulse_us = self.esc.pulse_of_share_us(share);
+                        }
+                    }
+                }
+            }
+            _ => self.rest(),
         }
-        self.estimate(input);
-        let event = self.arming.update(&self.conditions(input), dt_s);
-        let output = self.output(event);
-        if output.permit.is_none() {
-            self.saturation = Saturation::default();
-            self.controller.rest(self.rates, self.estimator.heading());
-            self.pulses_us = [self.esc.stop_us(); 4];
-        } else {
-            self.control(dt_s);
+        self.output(event)
+    }
+
+    /// The pilot.
+    #[inline(always)]
+    fn listen(&mut self, input: &Input, dt_us: u32) {
+        if let Some(frame) = self.link.take(input.rc.as_ref(), dt_us) {
+            self.sticks = Sticks::from_frame(frame);
+            self.gesture = self.sticks.gesture();
+            self.arm_switch = frame.arm_switch;
+            self.mode = FlightMode::from_frame(frame);
+            self.obey();
         }
-        Output { pulses_us: self.pulses_us, ..output }
+        self.requests.update(self.arm_by, self.gesture, self.arm_switch, self.link.lost(), dt_us);
+    }
+
+    /// Hands the sticks to the controller: in a descent the throttle may only be lower than that of the descent.
+    fn obey(&mut self) {
+        let descends = self.arming.state() == ArmState::Descent;
+        let limit = if descends { self.descent_throttle } else { 1.0 };
+        let mode = if descends { FlightMode::Angle } else { self.mode };
+        self.controller
+            .set_sticks(&Sticks { throttle: min(self.sticks.throttle, limit), ..self.sticks }, mode);
+    }
+
+    /// Supply, bench and board.
+    #[inline(always)]
+    fn watch(&mut self, input: &Input, dt_us: u32) {
+        self.battery.update(input.battery, self.arming.state().flies(), dt_us);
+        self.bench.update(input.bench.as_ref(), dt_us);
+        self.missed_age_us = self.missed_age_us.saturating_add(dt_us);
+        if input.health.missed_deadlines != self.missed_deadlines {
+            self.missed_deadlines = input.health.missed_deadlines;
+            self.missed_age_us = 0;
+        }
     }
 
     /// Calibration, prefilter, gyro zero and estimator, for the sensors that brought something.
     #[inline(always)]
-    fn estimate(&mut self, input: &Input) {
+    fn estimate(&mut self, input: &Input, dt_us: u32) {
+        self.imu_age_us = self.imu_age_us.saturating_add(dt_us);
+        let imu: Option<&ImuSample> = input.imu.as_ref().filter(|sample| ImuCheck::is_valid(sample));
         let gap = self.imu_age_us > IMU_LOST_US;
-        if gap && input.imu.is_some() {
+        if gap && imu.is_some() {
             // What was known of the attitude is too old, or there has been nothing yet: begin again.
             self.restart_estimation();
         }
         let mag = input.mag.map(|sample| self.mag_prefilter.step(self.mag_model.apply(sample.counts)));
         // A field that comes without an inertial sample has gone through its prefilter and is not missed.
-        let Some(sample) = &input.imu else { return };
+        let Some(sample) = imu else { return };
+        self.imu_check.take(sample);
         // The estimator's dt is the time since its last sample, not since the last step.
         let dt_s = if gap { 0.0 } else { self.imu_age_us as f32 * 1.0e-6 };
         self.imu_age_us = 0;
 
         let gyro = self.gyro_prefilter.step(self.gyro_model.apply(sample.gyro));
         let accel = self.accel_prefilter.step(self.accel_model.apply(sample.accel));
-        if self.arming.state() == ArmState::Disarmed {
+        if !self.arming.state().flies() {
             self.gyro_zero.learn(gyro, accel, dt_s);
         }
         self.rates = gyro - self.gyro_zero.bias();
@@ -160,16 +235,49 @@ impl FlightController {
     }
 
     #[inline(always)]
-    fn conditions(&self, input: &Input) -> Conditions {
-        Conditions {
-            gesture: self.gesture,
-            rc_lost: self.rc_age_us > RC_LOST_US,
-            imu_lost: self.imu_age_us > IMU_LOST_US,
-            still: self.gyro_zero.still() && self.gyro_zero.zeroed(),
-            cos_tilt: self.estimator.down().z,
-            battery_low: self.battery_low,
-            bench_lock: input.health.bench_lock,
+    fn conditions(&self, input: &Input, first: bool) -> Conditions {
+        let health = &input.health;
+        let still = self.gyro_zero.still() && self.gyro_zero.zeroed();
+        [
+            (Conditions::ARM, self.requests.arm()),
+            (Conditions::DISARM, self.requests.disarm(self.arm_by)),
+            (Conditions::RC_LOST, self.link.lost()),
+            (Conditions::THROTTLE_UP, !self.sticks.throttle_is_low()),
+            (Conditions::IMU_LOST, self.imu_age_us > IMU_LOST_US),
+            (Conditions::IMU_STUCK, self.imu_check.stuck()),
+            (Conditions::NOT_STILL, !still),
+            // So written that a tilt that is not a number is not level.
+            (Conditions::NOT_LEVEL, !(self.estimator.down().z >= ARM_COS_TILT)),
+            (Conditions::NO_CALIBRATION, !self.calibrated),
+            (Conditions::BATTERY_LOW, self.battery.low()),
+            (Conditions::BATTERY_CRITICAL, self.battery.critical()),
+            (Conditions::OVERLOAD, self.missed_age_us <= OVERLOAD_US),
+            (Conditions::BENCH_LOCK, health.usb),
+            (Conditions::BENCH_COMMAND, self.bench.commanded()),
+            (Conditions::BENCH_EXPIRED, self.bench.expired()),
+            (Conditions::MAINTENANCE, health.maintenance),
+            (Conditions::WATCHDOG_RESET, first && health.watchdog_reset),
+        ]
+        .into_iter()
+        .fold(Conditions::empty(), |all, (condition, holds)| if holds { all | condition } else { all })
+    }
+
+    /// What a change of state changes at once.
+    #[cold]
+    fn enter(&mut self, event: Event) {
+        match (event.to, event.cause) {
+            (ArmState::Descent, Cause::RcLost) => self.controller.set_level(self.descent_throttle),
+            (ArmState::Descent, _) | (ArmState::Armed, _) => self.obey(),
+            _ => {}
         }
+    }
+
+    /// No motor turns, and nothing is wound up.
+    #[inline(always)]
+    fn rest(&mut self) {
+        self.saturation = Saturation::default();
+        self.controller.rest(self.rates, self.estimator.heading());
+        self.pulses_us = [self.esc.stop_us(); 4];
     }
 
     /// Controller, mixer and ESC map.
@@ -189,7 +297,13 @@ impl FlightController {
     }
 
     fn output(&self, event: Option<Event>) -> Output {
-        Output { permit: self.arming.permit(), pulses_us: self.pulses_us, state: self.arming.state(), event }
+        let bench = self.bench.motor(|share| self.esc.pulse_of_share_us(share));
+        Output {
+            permit: self.arming.permit(bench),
+            pulses_us: self.pulses_us,
+            state: self.arming.state(),
+            event,
+        }
     }
 
     /// Whether the motors may turn.

@@ -31,6 +31,8 @@ extern crate std;
 #[allow(unsafe_code)] // one instruction of inline assembly: the core's own square root
 pub mod arithmetic;
 pub mod arming;
+pub mod battery;
+pub mod bench;
 pub mod calibration;
 pub mod config;
 pub mod control;
@@ -38,6 +40,7 @@ pub mod esc;
 pub mod estimator;
 pub mod flight_controller;
 pub mod geometry;
+pub mod imu_check;
 pub mod mixer;
 pub mod prefilter;
 pub mod rc;

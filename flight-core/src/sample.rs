@@ -16,6 +16,8 @@ pub struct Input {
     pub rc: Option<RcFrame>,
     /// Supply.
     pub battery: Option<Battery>,
+    /// A motor to be turned on the bench.
+    pub bench: Option<BenchCommand>,
     /// What the board knows about itself.
     pub health: Health,
 }
@@ -41,6 +43,33 @@ pub struct MagSample {
 pub struct RcFrame {
     /// Throttle, roll, pitch, yaw in the 11-bit ticks of SBUS and CRSF: 172 to 1811, centre 992.
     pub channels: [u16; 4],
+    /// Arm switch, ticks.
+    pub arm_switch: u16,
+    /// Mode switch, ticks.
+    pub mode_switch: u16,
+    /// What the receiver says of its link.
+    pub status: LinkStatus,
+}
+
+/// What a receiver says of its link to the transmitter.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum LinkStatus {
+    /// The frame is the pilot's.
+    #[default]
+    Good,
+    /// The receiver missed one, and repeats the last.
+    FrameLost,
+    /// The receiver has lost the transmitter, and makes the channels up.
+    Failsafe,
+}
+
+/// Turn one motor on the bench. Each one is a heartbeat too: without the next the motor stops.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct BenchCommand {
+    /// Which: 1 to 4.
+    pub rotor: u8,
+    /// Share of the rotor's largest thrust, 0 to 1.
+    pub thrust: f32,
 }
 
 /// State of the supply.
@@ -53,8 +82,14 @@ pub struct Battery {
 /// What the board knows about itself.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Health {
-    /// The outputs are locked: USB is plugged in, or the board is in bench mode.
-    pub bench_lock: bool,
+    /// USB is plugged in.
+    pub usb: bool,
+    /// Somebody wants to erase flash, and waits for [`ArmState::Maintenance`].
+    pub maintenance: bool,
+    /// The watchdog caused the last reset.
+    pub watchdog_reset: bool,
+    /// Deadlines that the board's tasks have missed since start.
+    pub missed_deadlines: u32,
 }
 
 /// The result of one step.

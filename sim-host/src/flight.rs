@@ -11,6 +11,7 @@
 
 mod log;
 
+use flight_core::esc::EscParams;
 use flight_core::geometry::{Quaternion, Vec3, vec3};
 use flight_core::sample::{Battery, Health, Input, RcFrame};
 use flight_core::{ArmState, FlightController, MotorPermit, Output};
@@ -30,6 +31,12 @@ pub use log::FlightLog;
 pub const STEP_US: u64 = 1_000_000 / DEFAULT_RATE_HZ as u64;
 const MAG_US: u64 = 1_000_000 / MAG_RATE_HZ as u64;
 const RC_US: u64 = 1_000_000 / FRAME_RATE_HZ as u64;
+
+/// Pulse of a motor that stands still, µs.
+const STOP_US: f32 = EscParams::STANDARD.stop_us;
+
+/// The supply where no scene's battery sags: three cells at 3.7 V.
+const SUPPLY: Battery = Battery { voltage_v: 11.1 };
 
 /// Touch-down faster than this is a crash, m/s.
 const MAX_TOUCH_DOWN_M_S: f64 = 2.0;
@@ -265,12 +272,19 @@ impl Flight {
         if OPTIONAL && !self.link.is_empty() {
             deliver(&mut self.link, &mut rc);
         }
-        let battery = self
-            .vehicle
-            .battery_v()
-            .filter(|_| OPTIONAL)
-            .map(|voltage_v| Battery { voltage_v: voltage_v as f32 });
-        Input { time_us: self.time_us, imu, mag, rc, battery, health: Health::default() }
+        let battery = match self.vehicle.battery_v() {
+            Some(voltage_v) if OPTIONAL => Battery { voltage_v: voltage_v as f32 },
+            _ => SUPPLY,
+        };
+        Input {
+            time_us: self.time_us,
+            imu,
+            mag,
+            rc,
+            battery: Some(battery),
+            bench: None,
+            health: Health::default(),
+        }
     }
 
     fn rc_frame(&mut self) -> Option<RcFrame> {
@@ -283,9 +297,9 @@ impl Flight {
     #[inline(always)]
     fn esc(&self, permit: Option<MotorPermit>, pulses_us: [f32; 4]) -> [f64; 4] {
         match permit {
-            Some(MotorPermit { .. }) => {
-                pulses_us.map(|us| self.max_rotor_rad_s * ((f64::from(us) - 1000.0) * 1e-3).clamp(0.0, 1.0))
-            }
+            Some(permit) => permit
+                .apply(pulses_us, STOP_US)
+                .map(|us| self.max_rotor_rad_s * ((f64::from(us) - 1000.0) * 1e-3).clamp(0.0, 1.0)),
             None => [0.0; 4],
         }
     }

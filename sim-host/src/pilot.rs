@@ -8,7 +8,7 @@ use std::collections::VecDeque;
 
 use flight_core::geometry::{Vec3, vec3};
 use flight_core::rc::{CENTRE_TICKS, HIGH_TICKS, LOW_TICKS};
-use flight_core::sample::RcFrame;
+use flight_core::sample::{LinkStatus, RcFrame};
 
 use crate::vehicle::{GRAVITY, State};
 
@@ -46,6 +46,10 @@ impl Sticks {
                 centred(self.pitch),
                 centred(self.yaw),
             ],
+            // Arms by the sticks, flies by angles.
+            arm_switch: LOW_TICKS,
+            mode_switch: LOW_TICKS,
+            status: LinkStatus::Good,
         }
     }
 }

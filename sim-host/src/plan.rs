@@ -8,7 +8,7 @@ use std::hint::black_box;
 use std::time::Instant;
 
 use flight_core::geometry::{Quaternion, Vec3, vec3};
-use flight_core::sample::{ImuSample, MagSample, RcFrame};
+use flight_core::sample::{ImuSample, LinkStatus, MagSample, RcFrame};
 
 use crate::effects::Moment;
 use crate::effects::delivery::{Delivery, ImuEffect, MagEffect};
@@ -72,7 +72,8 @@ pub fn measure(scene: &Scene) -> Vec<Cost> {
     let mut costs = Vec::new();
     let mut note = |name, ns_per_step| costs.push(Cost { name, ns_per_step });
     for (name, mut effect) in scene.link(seed, rate_hz) {
-        let frame = RcFrame { channels: [992; 4] };
+        let frame =
+            RcFrame { channels: [992; 4], arm_switch: 992, mode_switch: 992, status: LinkStatus::Good };
         // A frame every twentieth step.
         note(name, delivery(&mut *effect, |k| k.is_multiple_of(20).then_some(frame)));
     }

@@ -1,12 +1,13 @@
 //! Flights whose samples and frames come late, wrong or not at all.
 
-use flight_core::arming::{DisarmCause, Event};
+use flight_core::ArmState;
+use flight_core::arming::{Cause, Event};
 use flight_core::sample::{ImuSample, MagSample, RcFrame};
 use sim_host::flight::{Crash, Flight, Observer, Outcome, STEP_US, StepView};
 use sim_host::scene::Scene;
 
 /// What the flight controller was given and what it said.
-#[derive(Default)]
+#[derive(Debug, Default)]
 struct Arrivals {
     imu: Vec<Option<ImuSample>>,
     mag: Vec<Option<MagSample>>,
@@ -35,20 +36,21 @@ fn hover_with(tables: &str) -> (Outcome, Arrivals) {
     (outcome, arrivals)
 }
 
-fn disarmed(arrivals: &Arrivals) -> Vec<(f64, DisarmCause)> {
-    let cause = |(time_s, event): &(f64, Event)| match event {
-        Event::Disarmed(cause) => Some((*time_s, *cause)),
-        _ => None,
-    };
-    arrivals.events.iter().filter_map(cause).collect()
+/// When and why the motors' state changed after arming, and to which.
+fn after_arming(arrivals: &Arrivals) -> Vec<(f64, ArmState, Cause)> {
+    let flown = arrivals.events.iter().skip_while(|(_, event)| event.to != ArmState::Armed).skip(1);
+    flown.map(|(time_s, event)| (*time_s, event.to, event.cause)).collect()
 }
 
 #[test]
 fn hover_is_flown_though_one_inertial_sample_in_ten_is_lost() {
     let (outcome, arrivals) = hover_with("[effects.imu.dropped_samples]\nprobability = 0.1\n");
     assert_eq!(outcome.crash, None);
-    assert_eq!(disarmed(&arrivals).len(), 1, "{:?}", arrivals.events);
-    assert_eq!(disarmed(&arrivals)[0].1, DisarmCause::Sticks);
+    assert!(
+        matches!(after_arming(&arrivals)[..], [(_, ArmState::Disarmed, Cause::Pilot)]),
+        "{:?}",
+        arrivals.events
+    );
     println!("{outcome:?}");
     assert!(outcome.position_error_max_m < 1.5 && outcome.attitude_rmse_deg < 2.0, "{outcome:?}");
     let n = arrivals.imu.len() as f64;
@@ -73,23 +75,44 @@ fn a_dead_inertial_sensor_stops_the_motors() {
     let (outcome, arrivals) = hover_with("[[fault]]\nkind = \"dead\"\nsensor = \"imu\"\nat_s = 15.0\n");
     assert!(arrivals.airborne_steps > 5000, "it flew before");
     // The last sample is that of 14.999 s; 100 ms may pass, the next step is one too many.
-    let (time_s, cause) = disarmed(&arrivals)[0];
-    assert_eq!(cause, DisarmCause::ImuLost);
+    let (time_s, state, cause) = after_arming(&arrivals)[0];
+    assert_eq!((state, cause), (ArmState::Terminated, Cause::ImuLost));
     assert!((time_s - 15.1).abs() < 1.5e-3, "{time_s}");
     // From two metres up it falls: √(2 · 9.8 · 2) = 6.3 m/s.
     assert!(matches!(outcome.crash, Some((Crash::HardTouchDown | Crash::TiltedTouchDown, _))), "{outcome:?}");
 }
 
 #[test]
-fn an_outage_of_the_link_stops_the_motors_after_a_second_and_not_before() {
+fn an_outage_of_the_link_begins_a_descent_after_half_a_second_and_not_before() {
     let outage = |for_s: f64| hover_with(&format!("[effects.link.outage]\nat_s = 15.0\nfor_s = {for_s}\n"));
-    let (short, arrivals) = outage(0.9);
-    assert_eq!((short.crash, disarmed(&arrivals)[0].1), (None, DisarmCause::Sticks));
-    let (_, arrivals) = outage(1.5);
-    let (time_s, cause) = disarmed(&arrivals)[0];
-    assert_eq!(cause, DisarmCause::RcLost);
-    // The last frame came at 14.98 s, 20 ms before the outage.
-    assert!((time_s - 15.98).abs() < 2.5e-3, "{time_s}");
+    let (short, arrivals) = outage(0.45);
+    assert_eq!(short.crash, None);
+    assert!(
+        matches!(after_arming(&arrivals)[..], [(_, ArmState::Disarmed, Cause::Pilot)]),
+        "{:?}",
+        arrivals.events
+    );
+    // Two seconds: the pilot takes over again half a second after the first frame.
+    let (long, arrivals) = outage(2.0);
+    assert_eq!((long.crash, long.final_state), (None, ArmState::Disarmed));
+    let [(lost_s, ArmState::Descent, Cause::RcLost), (back_s, ArmState::Armed, Cause::RcBack), (..)] =
+        after_arming(&arrivals)[..]
+    else {
+        panic!("{:?}", arrivals.events)
+    };
+    // The last frame came at 14.98 s, 20 ms before the outage; the next at 17.00 s.
+    assert!((lost_s - 15.48).abs() < 2.5e-3 && (back_s - 17.5).abs() < 2.5e-3, "{lost_s} {back_s}");
+    // For good: it sinks two metres at most at 1.3 m/s, stands on the ground, and stops after half a minute.
+    let (outcome, arrivals) =
+        hover_with("[scene]\nduration_s = 60.0\n[effects.link.outage]\nat_s = 15.0\nfor_s = 45.0\n");
+    println!("{outcome:?}");
+    assert_eq!((outcome.crash, outcome.final_state), (None, ArmState::Terminated));
+    let [(_, ArmState::Descent, Cause::RcLost), (over_s, ArmState::Terminated, Cause::DescentOver)] =
+        after_arming(&arrivals)[..]
+    else {
+        panic!("{:?}", arrivals.events)
+    };
+    assert!((over_s - 45.48).abs() < 3e-3, "{over_s}");
 }
 
 #[test]

@@ -110,7 +110,7 @@ impl Observer for Permits {
         if permitted && self.first_us.is_none() {
             self.first_us = Some(view.time_us);
         }
-        self.without_state |= permitted != (view.output.state == ArmState::Armed);
+        self.without_state |= permitted != view.output.state.flies();
         self.turning_without |= !permitted && view.output.pulses_us != [1000.0; 4];
     }
 }
@@ -120,8 +120,8 @@ fn nothing_turns_before_the_arm_gesture_and_nothing_after_the_landing() {
     let scene = Scene::load("hover").unwrap();
     let mut permits = Permits::default();
     Flight::new(&scene, scene.seed).run(&mut permits);
-    // The gesture begins at 3 s and is held for one.
-    assert_eq!(permits.first_us, Some(4_000_000));
+    // The gesture begins at 3 s, is held for one, and everything is checked for half a second more.
+    assert_eq!(permits.first_us, Some(4_500_000));
     assert!(!permits.without_state && !permits.turning_without);
 }
 

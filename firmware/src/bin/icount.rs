@@ -28,7 +28,7 @@ use flight_core::estimator::{Estimator, EstimatorParams};
 use flight_core::geometry::Vec3;
 use flight_core::mixer::{Mixer, Saturation, Wrench};
 use flight_core::prefilter::{Biquad, Prefilter};
-use flight_core::rc::Sticks;
+use flight_core::rc::{FlightMode, Sticks};
 use flight_core::{ConfigError, FlightController, Input, Output, Params};
 use panic_semihosting as _;
 use stm32f4xx_hal::pac::{Peripherals, TIM2};
@@ -229,7 +229,7 @@ fn stages(gauge: &mut Gauge) -> Result<(), ConfigError> {
     }
 
     let mut controller = Controller::new(&params.control, params.airframe.inertia_kg_m2)?;
-    controller.set_sticks(&Sticks { throttle: 0.5, roll: 0.2, pitch: -0.1, yaw: 0.0 });
+    controller.set_sticks(&Sticks { throttle: 0.5, roll: 0.2, pitch: -0.1, yaw: 0.0 }, FlightMode::Angle);
     let mut front = Front::new(&params)?;
     let mut estimator = Estimator::new(&params.estimator)?;
     let states = INPUTS.map(|slot| {

@@ -139,8 +139,8 @@ pub struct Outputs(());
 
 impl Outputs {
     /// Sends pulses of rotors 1 to 4.
-    pub fn drive(&mut self, _permit: MotorPermit, pulses_us: [f32; 4]) {
-        send(true, pulses_us);
+    pub fn drive(&mut self, permit: MotorPermit, pulses_us: [f32; 4]) {
+        send(true, permit.apply(pulses_us, STOP_US));
     }
 
     /// Sends the stop pulse to all four.

@@ -24,7 +24,7 @@ use flight_core::arming::MotorPermit;
 use flight_core::calibration::Sensitivity;
 use flight_core::geometry::{Mat3, vec3};
 use flight_core::sample::Health;
-use flight_core::{ArmState, Config, Input, Params};
+use flight_core::{Config, Input, Params};
 use stm32f4xx_hal::gpio::{self, Edge, PinState, Speed};
 use stm32f4xx_hal::pac::{self, Interrupt, SPI1, TIM3, TIM4, TIM5, interrupt};
 use stm32f4xx_hal::prelude::*;
@@ -198,6 +198,7 @@ impl Sensors {
             mag: None,
             rc: None,
             battery: None,
+            bench: None,
             health: Health::default(),
         })
     }
@@ -213,8 +214,8 @@ pub struct Outputs {
 
 impl Outputs {
     /// Sends pulses of rotors 1 to 4. The permit is used up: a step has one, and it moves the motors once.
-    pub fn drive(&mut self, _permit: MotorPermit, pulses_us: [f32; 4]) {
-        self.write(pulses_us);
+    pub fn drive(&mut self, permit: MotorPermit, pulses_us: [f32; 4]) {
+        self.write(permit.apply(pulses_us, pulse::STOP_US));
     }
 
     /// Sends the stop pulse to all four.
@@ -275,7 +276,7 @@ impl Monitor {
         let lit = if !step.sampled {
             self.steps % 200 < 100
         } else {
-            step.state == ArmState::Armed || self.steps % 1_000 < 50
+            step.state.flies() || self.steps % 1_000 < 50
         };
         self.light.set_state(if lit { PinState::Low } else { PinState::High });
     }

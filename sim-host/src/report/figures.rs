@@ -1,6 +1,6 @@
 //! The figures of a report: what of a recorded flight is plotted, and how.
 
-use flight_core::arming::{DisarmCause, Event, Refusal};
+use flight_core::arming::{Cause, Event};
 
 use super::recorder::{Channel, Recorder};
 use crate::chart::{Chart, Line, Mark, Panel, RightAxis, Stroke, colour};
@@ -47,11 +47,14 @@ pub(super) fn all(scene: &Scene, outcome: &Outcome, recorder: &Recorder) -> Vec<
 /// The events of a flight, and its crash.
 pub fn marks(outcome: &Outcome, recorder: &Recorder) -> Vec<Mark> {
     let event = |&(time_s, event): &(f64, Event)| {
-        let (label, colour) = match event {
-            Event::Armed => ("armed".into(), colour::GREEN),
-            Event::Disarmed(DisarmCause::Sticks) => ("disarmed".into(), colour::GREEN),
-            Event::Disarmed(cause) => (format!("disarmed: {}", disarm_text(cause)), colour::VERMILLION),
-            Event::Refused(why) => (format!("arming refused: {}", refusal_text(why)), colour::VERMILLION),
+        let (label, colour) = if event.is_refusal() {
+            (format!("arming refused: {}", event.cause.text()), colour::VERMILLION)
+        } else {
+            let label = event.to.name().to_lowercase();
+            match event.cause {
+                Cause::Pilot | Cause::Checked => (label, colour::GREEN),
+                cause => (format!("{label}: {}", cause.text()), colour::VERMILLION),
+            }
         };
         Mark { time_s, label, colour }
     };
@@ -60,25 +63,6 @@ pub fn marks(outcome: &Outcome, recorder: &Recorder) -> Vec<Mark> {
         list.push(Mark { time_s, label: "crash".into(), colour: colour::VERMILLION });
     }
     list
-}
-
-fn disarm_text(cause: DisarmCause) -> &'static str {
-    match cause {
-        DisarmCause::Sticks => "by the pilot",
-        DisarmCause::BenchLock => "outputs locked",
-        DisarmCause::ImuLost => "inertial sensor lost",
-        DisarmCause::RcLost => "receiver lost",
-    }
-}
-
-fn refusal_text(why: Refusal) -> &'static str {
-    match why {
-        Refusal::BenchLock => "outputs locked",
-        Refusal::ImuLost => "inertial sensor lost",
-        Refusal::NotStill => "not still",
-        Refusal::NotLevel => "not level",
-        Refusal::BatteryLow => "battery low",
-    }
 }
 
 /// A line of a channel.

@@ -88,11 +88,12 @@ fn cards(html: &mut String, scene: &Scene, outcome: &Outcome) {
             "while airborne, in truth",
         );
     }
-    let (state, note) = match outcome.final_state {
-        ArmState::Disarmed => ("Disarmed", "motors stopped"),
-        ArmState::Armed => ("Armed", "motors permitted"),
+    let note = match outcome.final_state {
+        ArmState::Armed | ArmState::Descent => "motors permitted",
+        ArmState::Terminated => "motors stopped by a fault",
+        _ => "motors stopped",
     };
-    card("State at the end", state.into(), note);
+    card("State at the end", outcome.final_state.name().into(), note);
     html.push_str("</dl>\n");
 }
 

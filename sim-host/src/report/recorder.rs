@@ -173,6 +173,8 @@ fn nearest_turn(angles: [f64; 3], near: [f64; 3]) -> [f64; 3] {
 
 #[cfg(test)]
 mod tests {
+    use flight_core::ArmState;
+
     use super::*;
     use crate::flight::Flight;
     use crate::scene::Scene;
@@ -225,7 +227,8 @@ mod tests {
         assert!((highest(Channel::InclinationError) - outcome.tilt_error_max_deg).abs() < 1e-12);
         assert!((highest(Channel::TiltTruth) - outcome.tilt_max_deg).abs() < 1e-6);
         assert_eq!(highest(Channel::HeightTarget), 2.0);
-        assert!(matches!(recorder.events(), [(_, Event::Armed), (_, Event::Disarmed(_))]));
+        let states: Vec<_> = recorder.events().iter().map(|(_, event)| event.to).collect();
+        assert_eq!(states, [ArmState::Arming, ArmState::Armed, ArmState::Disarmed]);
         assert_eq!(recorder.further_events(), 0);
     }
 }

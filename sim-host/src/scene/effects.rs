@@ -1,5 +1,6 @@
 //! `[effects.…]`: every effect that a scene can name, in the order in which it applies.
 
+use flight_core::imu_check::StuckCheck;
 use flight_core::sample::{ImuSample, MagSample, RcFrame};
 use serde::Deserialize;
 
@@ -17,6 +18,8 @@ use crate::effects::vehicle::{
 };
 use crate::effects::{BoxedSensorEffect, Build, Recipe};
 use crate::input_error::InputError;
+use crate::scene::DEFAULT_RATE_HZ;
+use crate::sensors::Converter;
 
 /// A table of effects: one optional key each. The order of the fields is the order of application.
 macro_rules! effect_table {
@@ -204,6 +207,25 @@ impl Effects {
             self.imu.named(),
         ]
         .concat()
+    }
+
+    /// Which sensors are noisy enough that one which stands still must be stuck: half a count of white noise, and
+    /// no coarser steps than the chip's own. A sensor without errors may stand still for ever.
+    pub fn stuck_check(&self, converters: &[Converter; 3]) -> StuckCheck {
+        let [gyro, accel, _] = converters;
+        let noisy = |density: [f64; 3], converter: &Converter| {
+            let least = 0.5 * converter.per_count / f64::from(DEFAULT_RATE_HZ).sqrt();
+            density.iter().all(|n| *n >= least)
+        };
+        let Self { gyro: of_gyro, accel: of_accel, .. } = self;
+        StuckCheck {
+            gyro: of_gyro.quantization.is_none()
+                && of_gyro.white_noise.as_ref().is_some_and(|noise| {
+                    noisy(noise.n_deg_per_sqrt_h.map(|n| (n / 60.0).to_radians()), gyro)
+                }),
+            accel: of_accel.quantization.is_none()
+                && of_accel.white_noise.as_ref().is_some_and(|noise| noisy(noise.n_m_s2_per_sqrt_hz, accel)),
+        }
     }
 
     /// Leaves an effect out; whether it was named.

@@ -182,7 +182,9 @@ impl Scene {
         let field_ut = scene.place.map_or(Place::ANKARA, file::PlaceTable::build).field_ut()?;
         let ball_joint = scene.mount == file::MountName::BallJoint;
         let pilot = pilot.map(|p| p.build(ball_joint)).transpose()?;
-        let config = flight.build(&vehicle, preset, field_ut)?;
+        let mut config = flight.build(&vehicle, preset, field_ut)?;
+        let converters = preset.converters();
+        config.params.stuck_check = effects.stuck_check(&converters);
         let controller =
             FlightController::new(&config).map_err(|e| InputError::new(e.to_string()).field("flight"))?;
         let mut built = Self {
@@ -196,7 +198,7 @@ impl Scene {
             pilot,
             config,
             controller,
-            converters: preset.converters(),
+            converters,
             field_ut,
             effects,
             faults,
@@ -236,7 +238,13 @@ impl Scene {
     /// The same scene without one of its effects; `None` if it does not name it.
     pub fn without(&self, effect: &str) -> Option<Self> {
         let mut scene = self.clone();
-        scene.effects.leave_out(effect).then_some(scene)
+        if !scene.effects.leave_out(effect) {
+            return None;
+        }
+        scene.config.params.stuck_check = scene.effects.stuck_check(&scene.converters);
+        // Only which sensors are checked has changed, and no value of that is out of range.
+        scene.controller = FlightController::new(&scene.config).ok()?;
+        Some(scene)
     }
 
     /// The effects that there are and the scene does not name.
@@ -407,7 +415,8 @@ impl file::Flight {
             };
             Calibration { gyro: sensor(&c.gyro_rad_s), accel: sensor(&c.accel_m_s2), mag: sensor(&c.mag_ut) }
         });
-        Ok(Config { params, calibration })
+        // A scene that names none flies sensors that are as their datasheets say.
+        Ok(Config { params, calibration: Some(calibration.unwrap_or(Calibration::NONE)) })
     }
 }
 

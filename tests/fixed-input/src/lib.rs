@@ -6,7 +6,7 @@
 //!
 //! ```text
 //!  0 s      lying still: the gyroscope is zeroed
-//!  1.2 s    throttle low, yaw full right: armed at 2.2 s
+//!  0.75 s   throttle low, yaw full right: checked from 1.76 s, armed at 2.26 s
 //!  2.5 s    throttle up, then roll, pitch and yaw moves; the vehicle turns at up to ±180 °/s about each axis
 //!  3.0 s    every 61st sample is missing, 5 in a row at 3.5 s, 60 in a row at 3.7 s
 //!  4.3 s    150 samples in a row are missing: the sensor counts as lost at 0.1 s, and the motors stop
@@ -22,11 +22,11 @@
 
 use core::ffi::CStr;
 
-use flight_core::calibration::{SensorCalibration, SensorFields, SensorModel};
+use flight_core::calibration::{Calibration, SensorCalibration, SensorFields, SensorModel};
 use flight_core::estimator::{Estimator, EstimatorParams};
 use flight_core::geometry::Quaternion;
 use flight_core::rc::{CENTRE_TICKS, HIGH_TICKS, LOW_TICKS};
-use flight_core::sample::{Battery, Health, ImuSample, MagSample, RcFrame};
+use flight_core::sample::{Battery, Health, ImuSample, LinkStatus, MagSample, RcFrame};
 use flight_core::{Config, ConfigError, Input, Params};
 
 /// Slots, and steps.
@@ -49,7 +49,7 @@ const BATTERY_SLOTS: u32 = 100;
 
 /// What both sides build their flight controller from.
 pub fn config() -> Config {
-    Config { params: Params::default(), calibration: None }
+    Config { params: Params::default(), calibration: Some(Calibration::NONE) }
 }
 
 /// Whether the slot's inertial sample arrives.
@@ -73,6 +73,7 @@ pub fn input(slot: u32) -> Input {
         mag: due(MAG_SLOTS).then(|| mag(slot)),
         rc: due(RC_SLOTS).then(|| sticks(slot)),
         battery: due(BATTERY_SLOTS).then_some(Battery { voltage_v: 11.5 + (slot & 7) as f32 * 0.0625 }),
+        bench: None,
         health: Health::default(),
     }
 }
@@ -152,9 +153,9 @@ pub fn sticks(slot: u32) -> RcFrame {
     // Once up, the throttle stays above the quarter, so that it never asks to arm or to disarm.
     let throttle = (LOW_TICKS + 450).saturating_add_signed(triangle(t, 1_600, 300)) + (t / 10) as u16;
     let channels = match slot {
-        ..1_200 => [LOW_TICKS, C, C, C],
-        1_200..2_300 => [LOW_TICKS, C, C, HIGH_TICKS],
-        2_300..FLIGHT => [LOW_TICKS, C, C, C],
+        ..750 => [LOW_TICKS, C, C, C],
+        750..1_900 => [LOW_TICKS, C, C, HIGH_TICKS],
+        1_900..FLIGHT => [LOW_TICKS, C, C, C],
         _ => {
             let stick = |phase: u32, period: u32, sweep: i16| {
                 C.saturating_add_signed(triangle(t + phase, period, sweep))
@@ -164,7 +165,7 @@ pub fn sticks(slot: u32) -> RcFrame {
             [throttle, stick(0, 1_100, 700), stick(400, 900, 700), yaw]
         }
     };
-    RcFrame { channels }
+    RcFrame { channels, arm_switch: LOW_TICKS, mode_switch: LOW_TICKS, status: LinkStatus::Good }
 }
 
 /// A triangle wave from 0 through `peak`, `−peak` and back, `period` slots long (a multiple of 4).

@@ -3,6 +3,7 @@
 //! The vehicle stands level on the bench of scene `static`, at Ankara, turned by hand to eight headings. Its
 //! flight controller runs the whole chain from counts.
 
+use flight_core::calibration::SensorCalibration;
 use flight_core::geometry::{Quaternion, Vec3, vec3};
 use flight_core::sample::{ImuSample, Input, MagSample};
 use sim_host::effects::Moment;
@@ -24,7 +25,8 @@ fn bench(calibrated: bool) -> Scene {
     let calibration = "[flight]\ncalibration.mag_ut.bias = [0.0, 200.0, 0.0]";
     let text = if calibrated { text.replacen("[flight]", calibration, 1) } else { text.into() };
     let scene = Scene::parse("static", &text).unwrap_or_else(|error| panic!("{error}"));
-    assert_eq!(scene.config.calibration.is_some(), calibrated);
+    let mag = scene.config.calibration.map(|calibration| calibration.mag);
+    assert_eq!(mag != Some(SensorCalibration::NONE), calibrated);
     assert_eq!(
         scene.effects(),
         ["gyro.white_noise", "accel.white_noise", "mag.hard_iron", "mag.white_noise"]

@@ -1,0 +1,265 @@
+use std::vec::Vec;
+
+use super::table::{Conditions, Row, decide, rows};
+use super::{ArmState, Arming, BenchMotor, Cause, Event};
+use ArmState::*;
+use Conditions as C;
+
+/// What stands against arming, in the order in which it is told.
+const OBSTACLES: [(C, Cause); 11] = [
+    (C::BENCH_LOCK, Cause::BenchLock),
+    (C::BENCH_COMMAND, Cause::BenchCommand),
+    (C::RC_LOST, Cause::RcLost),
+    (C::THROTTLE_UP, Cause::ThrottleUp),
+    (C::IMU_LOST, Cause::ImuLost),
+    (C::IMU_STUCK, Cause::ImuStuck),
+    (C::NO_CALIBRATION, Cause::NoCalibration),
+    (C::NOT_STILL, Cause::NotStill),
+    (C::NOT_LEVEL, Cause::NotLevel),
+    (C::BATTERY_LOW, Cause::BatteryLow),
+    (C::OVERLOAD, Cause::Overload),
+];
+
+/// What should happen, written down a second time and in another way: as a person would say it.
+fn promised(state: ArmState, now: C) -> Option<(ArmState, Cause)> {
+    let is = |condition: C| now.contains(condition);
+    let obstacle = || OBSTACLES.iter().find(|(condition, _)| is(*condition)).map(|&(_, cause)| cause);
+    let fault = || {
+        let faults = [
+            (C::BENCH_LOCK, Cause::BenchLock),
+            (C::IMU_LOST, Cause::ImuLost),
+            (C::IMU_STUCK, Cause::ImuStuck),
+        ];
+        faults.into_iter().find(|(condition, _)| is(*condition)).map(|(_, cause)| (Terminated, cause))
+    };
+    let heard = |request| is(request) && !is(C::RC_LOST);
+    match state {
+        Disarmed => {
+            if is(C::WATCHDOG_RESET) {
+                return Some((Terminated, Cause::WatchdogReset));
+            }
+            if is(C::MAINTENANCE) {
+                return Some((Maintenance, Cause::Maintenance));
+            }
+            if is(C::ARM) {
+                return Some(obstacle().map_or((Arming, Cause::Pilot), |cause| (Disarmed, cause)));
+            }
+            (is(C::BENCH_COMMAND) && !is(C::BENCH_EXPIRED) && !is(C::DISARM))
+                .then_some((Bench, Cause::BenchCommand))
+        }
+        Arming => {
+            if is(C::MAINTENANCE) {
+                return Some((Disarmed, Cause::Maintenance));
+            }
+            if let Some(cause) = obstacle() {
+                return Some((Disarmed, cause));
+            }
+            if is(C::DISARM) {
+                return Some((Disarmed, Cause::Pilot));
+            }
+            is(C::TIME_UP).then_some((Armed, Cause::Checked))
+        }
+        Armed => {
+            if let Some(stop) = fault() {
+                return Some(stop);
+            }
+            if is(C::RC_LOST) {
+                let to = if is(C::THROTTLE_UP) { Descent } else { Terminated };
+                return Some((to, Cause::RcLost));
+            }
+            if is(C::DISARM) {
+                return Some((Disarmed, Cause::Pilot));
+            }
+            is(C::BATTERY_CRITICAL).then_some((Descent, Cause::BatteryCritical))
+        }
+        Descent => {
+            if let Some(stop) = fault() {
+                return Some(stop);
+            }
+            if is(C::RC_LOST) {
+                return is(C::TIME_UP).then_some((Terminated, Cause::DescentOver));
+            }
+            if is(C::DISARM) {
+                return Some((Disarmed, Cause::Pilot));
+            }
+            (!is(C::BATTERY_CRITICAL)).then_some((Armed, Cause::RcBack))
+        }
+        Terminated => {
+            if heard(C::DISARM) {
+                return Some((Disarmed, Cause::Pilot));
+            }
+            is(C::ARM).then_some((Terminated, Cause::NotAcknowledged))
+        }
+        Bench => {
+            if is(C::MAINTENANCE) {
+                Some((Disarmed, Cause::Maintenance))
+            } else if is(C::DISARM) {
+                Some((Disarmed, Cause::Pilot))
+            } else if is(C::ARM) {
+                Some((Disarmed, Cause::BenchCommand))
+            } else if is(C::BENCH_EXPIRED) {
+                Some((Disarmed, Cause::BenchExpired))
+            } else if !is(C::BENCH_COMMAND) {
+                Some((Disarmed, Cause::BenchSilent))
+            } else {
+                None
+            }
+        }
+        Maintenance => {
+            if !is(C::MAINTENANCE) {
+                Some((Disarmed, Cause::MaintenanceOver))
+            } else {
+                is(C::ARM).then_some((Maintenance, Cause::Maintenance))
+            }
+        }
+    }
+}
+
+fn every_combination() -> impl Iterator<Item = C> {
+    (0..=C::all().bits()).map(C::from_bits_retain)
+}
+
+fn followed(rows: &[Row], now: C) -> Option<(ArmState, Cause)> {
+    decide(rows, now).map(|row| (row.to, row.cause))
+}
+
+#[test]
+fn every_state_under_every_combination_of_conditions_does_what_is_promised() {
+    assert_eq!(C::all().bits(), (1 << 18) - 1);
+    for state in ArmState::ALL {
+        for now in every_combination() {
+            assert_eq!(followed(rows(state), now), promised(state, now), "{state:?} {now:?}");
+        }
+    }
+}
+
+#[test]
+fn no_row_can_be_left_out() {
+    for state in ArmState::ALL {
+        for index in 0..rows(state).len() {
+            let mut without = rows(state).to_vec();
+            let row = without.remove(index);
+            let noticed = every_combination().any(|now| followed(&without, now) != promised(state, now));
+            assert!(noticed, "nobody misses {row:?}");
+        }
+    }
+}
+
+#[test]
+fn every_row_stands_with_its_state() {
+    for state in ArmState::ALL {
+        assert!(rows(state).iter().all(|row| row.from == state));
+    }
+}
+
+/// Properties that hold whatever the rows say, so that a mistake made in both versions above is found.
+#[test]
+fn what_must_never_happen_does_not() {
+    for state in ArmState::ALL {
+        for now in every_combination() {
+            let to = followed(rows(state), now).map_or(state, |(to, _)| to);
+            let turning = |s: ArmState| s.flies() || s == Bench;
+            if turning(to) && !turning(state) {
+                // From rest the motors start by a checked arming or a bench command, and by nothing else.
+                match to {
+                    Armed => {
+                        assert_eq!(state, Arming);
+                        assert!(OBSTACLES.iter().all(|(obstacle, _)| !now.contains(*obstacle)));
+                    }
+                    Bench => assert!(state == Disarmed && now.contains(C::BENCH_COMMAND)),
+                    other => panic!("{state:?} to {other:?}"),
+                }
+            }
+            if to.flies() {
+                assert!(!now.intersects(C::BENCH_LOCK | C::IMU_LOST | C::IMU_STUCK), "{state:?} {now:?}");
+            }
+            if to == Maintenance {
+                assert!(!turning(state) && state != Arming);
+            }
+            // The pilot, if heard, can always stop the motors.
+            if now.contains(C::DISARM) && !now.contains(C::RC_LOST) {
+                assert!(!turning(to), "{state:?} {now:?}");
+            }
+        }
+    }
+}
+
+/// Drives an [`Arming`] for milliseconds.
+fn run(arming: &mut Arming, now: C, ms: u32) -> Vec<Event> {
+    (0..ms).filter_map(|_| arming.update(now, 1_000)).collect()
+}
+
+fn event(from: ArmState, to: ArmState, cause: Cause) -> Event {
+    Event { from, to, cause }
+}
+
+fn armed() -> Arming {
+    let mut arming = super::Arming::new(5_000_000);
+    run(&mut arming, C::empty(), 1);
+    assert_eq!(run(&mut arming, C::ARM, 500), [event(Disarmed, Arming, Cause::Pilot)]);
+    assert!(arming.permit(None).is_none());
+    assert_eq!(run(&mut arming, C::ARM, 1), [event(Arming, Armed, Cause::Checked)]);
+    assert!(arming.permit(None).is_some());
+    arming
+}
+
+#[test]
+fn a_refusal_is_said_once_and_the_pilot_must_let_go_before_the_next_try() {
+    let mut arming = super::Arming::new(1);
+    run(&mut arming, C::empty(), 1);
+    assert_eq!(run(&mut arming, C::ARM | C::NOT_LEVEL, 3_000), [event(Disarmed, Disarmed, Cause::NotLevel)]);
+    assert!(run(&mut arming, C::ARM, 3_000).is_empty(), "level by now, but the request is old");
+    run(&mut arming, C::empty(), 1);
+    assert_eq!(run(&mut arming, C::ARM, 1), [event(Disarmed, Arming, Cause::Pilot)]);
+}
+
+#[test]
+fn an_arm_switch_that_is_on_at_power_up_arms_nothing() {
+    let mut arming = super::Arming::new(1);
+    assert!(run(&mut arming, C::ARM, 10_000).is_empty());
+}
+
+#[test]
+fn an_obstacle_that_comes_up_while_arming_takes_it_back() {
+    for (obstacle, cause) in OBSTACLES {
+        let mut arming = super::Arming::new(1);
+        run(&mut arming, C::empty(), 1);
+        run(&mut arming, C::ARM, 400);
+        let told = run(&mut arming, C::ARM | obstacle, 1_000);
+        assert_eq!(told[0], event(Arming, Disarmed, cause));
+        assert!(told[1..].iter().all(|event| event.to == Bench), "{told:?}");
+        assert!(told[0].is_refusal());
+    }
+}
+
+#[test]
+fn a_descent_without_a_link_ends_after_its_time_and_with_one_in_the_pilots_hands() {
+    let lost = C::RC_LOST | C::THROTTLE_UP;
+    let mut arming = armed();
+    assert_eq!(run(&mut arming, lost, 5_000), [event(Armed, Descent, Cause::RcLost)]);
+    assert!(arming.permit(None).is_some());
+    assert_eq!(run(&mut arming, lost, 1), [event(Descent, Terminated, Cause::DescentOver)]);
+    assert!(arming.permit(None).is_none());
+    assert_eq!(run(&mut arming, C::ARM, 1), [event(Terminated, Terminated, Cause::NotAcknowledged)]);
+    assert_eq!(run(&mut arming, C::DISARM, 1), [event(Terminated, Disarmed, Cause::Pilot)]);
+
+    let mut arming = armed();
+    run(&mut arming, lost, 1_000);
+    assert_eq!(run(&mut arming, C::THROTTLE_UP, 1), [event(Descent, Armed, Cause::RcBack)]);
+}
+
+#[test]
+fn the_permit_of_the_bench_turns_one_motor_up_to_its_limit() {
+    let mut arming = super::Arming::new(1);
+    run(&mut arming, C::BENCH_COMMAND, 1);
+    assert_eq!(arming.state(), Bench);
+    let motor = BenchMotor { rotor: 2, limit_us: 1_300.0 };
+    let permit = arming.permit(Some(motor)).unwrap();
+    assert_eq!(permit.apply([1_900.0; 4], 1_000.0), [1_000.0, 1_000.0, 1_300.0, 1_000.0]);
+    let permit = arming.permit(Some(motor)).unwrap();
+    assert_eq!(permit.apply([1_200.0; 4], 1_000.0), [1_000.0, 1_000.0, 1_200.0, 1_000.0]);
+    assert!(arming.permit(None).is_none());
+    // In flight the bench's motor means nothing.
+    let permit = armed().permit(Some(motor)).unwrap();
+    assert_eq!(permit.apply([1_900.0; 4], 1_000.0), [1_900.0; 4]);
+}

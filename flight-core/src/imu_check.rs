@@ -1,0 +1,140 @@
+//! Whether an inertial sample is one.
+
+use crate::arithmetic::max;
+use crate::sample::ImuSample;
+
+/// What the ICM-42688-P's registers hold when there is no valid sample, on every axis (datasheet DS-000347,
+/// section 14.1 on the data registers); a single axis at this value is one at the end of its range.
+const INVALID: i16 = i16::MIN;
+
+/// How long an axis may read the same, s.
+const IMU_STUCK_S: f32 = 0.1;
+/// And for how many samples, at least.
+const MIN_STUCK_SAMPLES: f32 = 50.0;
+
+/// Which sensors are noisy enough that an axis which reads the same for long must be stuck.
+///
+/// A real chip's noise is about a count or more: the ICM-42688-P's gyroscope has 0.0028 °/s/√Hz, over 258 Hz
+/// 0.045 °/s rms, 0.74 counts. The chance that a sample repeats the last is below 0.6 then, and that 100 do,
+/// below 10⁻²². A simulated sensor without noise may stand still for ever.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct StuckCheck {
+    /// The gyroscope.
+    pub gyro: bool,
+    /// The accelerometer.
+    pub accel: bool,
+}
+
+/// Looks at samples as they come.
+#[derive(Clone, Debug)]
+pub struct ImuCheck {
+    check: StuckCheck,
+    /// Samples for which an axis may stand still.
+    limit: u16,
+    last: ImuSample,
+    /// Samples since each axis of gyroscope and accelerometer last moved.
+    still: [[u16; 3]; 2],
+}
+
+impl ImuCheck {
+    /// Before the first of `rate_hz` samples a second.
+    pub fn new(check: StuckCheck, rate_hz: f32) -> Self {
+        let limit = max(rate_hz * IMU_STUCK_S, MIN_STUCK_SAMPLES) as u16;
+        Self { check, limit, last: ImuSample::default(), still: [[0; 3]; 2] }
+    }
+
+    /// Whether the sample is one, and no code for the lack of one.
+    #[inline]
+    pub fn is_valid(sample: &ImuSample) -> bool {
+        sample.gyro.iter().chain(&sample.accel).any(|&counts| counts != INVALID)
+    }
+
+    /// Takes a valid sample.
+    #[inline]
+    pub fn take(&mut self, sample: &ImuSample) {
+        if self.check.gyro {
+            count(&mut self.still[0], self.last.gyro, sample.gyro);
+        }
+        if self.check.accel {
+            count(&mut self.still[1], self.last.accel, sample.accel);
+        }
+        self.last = *sample;
+    }
+
+    /// Whether an axis has stood still for too long.
+    #[inline]
+    pub fn stuck(&self) -> bool {
+        self.still.as_flattened().iter().fold(false, |stuck, &samples| stuck | (samples >= self.limit))
+    }
+}
+
+#[inline(always)]
+fn count(still: &mut [u16; 3], last: [i16; 3], now: [i16; 3]) {
+    for axis in 0..3 {
+        // At the end of its range an axis is not stuck: the vehicle does more than the sensor can say.
+        let moves = last[axis] != now[axis] || now[axis] == i16::MAX || now[axis] == i16::MIN;
+        still[axis] = if moves { 0 } else { still[axis].saturating_add(1) };
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const BOTH: StuckCheck = StuckCheck { gyro: true, accel: true };
+
+    fn moving(step: i16) -> ImuSample {
+        ImuSample { gyro: [step, -step, step ^ 1], accel: [step + 1, step + 2, step + 3] }
+    }
+
+    #[test]
+    fn any_one_axis_that_stands_still_for_a_tenth_of_a_second_is_stuck() {
+        for axis in 0..6 {
+            let mut check = ImuCheck::new(BOTH, 1000.0);
+            let stick = |mut sample: ImuSample| {
+                let ImuSample { gyro, accel } = &mut sample;
+                [gyro, accel][axis / 3][axis % 3] = 7;
+                sample
+            };
+            for step in 0..100 {
+                check.take(&stick(moving(step)));
+                assert!(!check.stuck(), "axis {axis}, step {step}");
+            }
+            check.take(&stick(moving(100)));
+            assert!(check.stuck(), "axis {axis}");
+            check.take(&moving(101));
+            assert!(!check.stuck(), "axis {axis} moves again");
+        }
+    }
+
+    #[test]
+    fn a_slow_sensor_is_given_fifty_samples() {
+        let mut check = ImuCheck::new(BOTH, 100.0);
+        for _ in 0..50 {
+            check.take(&moving(2));
+            assert!(!check.stuck());
+        }
+        check.take(&moving(2));
+        assert!(check.stuck());
+    }
+
+    #[test]
+    fn the_end_of_the_range_is_not_stuck_and_neither_is_a_sensor_without_noise() {
+        let mut check = ImuCheck::new(BOTH, 1000.0);
+        let mut ideal = ImuCheck::new(StuckCheck { gyro: false, accel: false }, 1000.0);
+        for step in 0..1_000 {
+            let full = ImuSample { gyro: [i16::MAX, i16::MIN, step], ..moving(step) };
+            check.take(&full);
+            ideal.take(&moving(1));
+        }
+        assert!(!check.stuck() && !ideal.stuck());
+    }
+
+    #[test]
+    fn the_code_for_invalid_is_on_all_axes() {
+        let invalid = ImuSample { gyro: [i16::MIN; 3], accel: [i16::MIN; 3] };
+        assert!(!ImuCheck::is_valid(&invalid));
+        assert!(ImuCheck::is_valid(&ImuSample { gyro: [i16::MIN, i16::MIN, -32_767], ..invalid }));
+        assert!(ImuCheck::is_valid(&ImuSample::default()));
+    }
+}

@@ -1,0 +1,188 @@
+//! From receiver ticks to what the pilot wants.
+//!
+//! | channel | low | centre | high |
+//! |---|---|---|---|
+//! | throttle | no thrust | half of the thrust | all of it |
+//! | roll | left | level | right |
+//! | pitch | back: nose up | level | forward: nose down |
+//! | yaw | left: anticlockwise from above | hold heading | right: clockwise |
+//! | arm switch ([`ArmBy::Switch`]) | stop the motors | – | let them turn |
+//! | mode switch | [`FlightMode::Angle`] | the same | [`FlightMode::Rate`] |
+//!
+//! [`link`] says whether the pilot is there at all, [`request`] what the pilot asks of the arm state.
+
+pub mod link;
+pub mod request;
+
+use crate::arithmetic::max;
+use crate::config::{ConfigError, check};
+use crate::sample::{LinkStatus, RcFrame};
+
+pub use link::Link;
+pub use request::{ArmBy, Requests};
+
+/// Which of a receiver's channels is what, counted from 0.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ChannelMap {
+    /// Throttle, roll, pitch, yaw.
+    pub sticks: [u8; 4],
+    /// Arm switch.
+    pub arm: u8,
+    /// Mode switch.
+    pub mode: u8,
+}
+
+impl ChannelMap {
+    /// Roll, pitch, throttle, yaw, arm, mode: "AETR", and the arm switch where ExpressLRS wants it.
+    pub const AETR: Self = Self { sticks: [2, 0, 1, 3], arm: 4, mode: 5 };
+
+    /// # Errors
+    /// A channel that a receiver does not have.
+    pub(crate) fn validate(&self) -> Result<(), ConfigError> {
+        for channel in self.sticks.into_iter().chain([self.arm, self.mode]) {
+            check("rc.channels", f32::from(channel), 0.0, 15.0)?;
+        }
+        Ok(())
+    }
+
+    /// The frame in a receiver's channels (ticks).
+    pub fn frame(&self, channels: &[u16; 16], status: LinkStatus) -> RcFrame {
+        // The mask keeps an index in range without a branch; `validate` has seen to it that it changes nothing.
+        let ticks = |channel: u8| channels[usize::from(channel & 15)];
+        RcFrame {
+            channels: self.sticks.map(ticks),
+            arm_switch: ticks(self.arm),
+            mode_switch: ticks(self.mode),
+            status,
+        }
+    }
+}
+
+/// What the roll and pitch sticks command.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum FlightMode {
+    /// An angle: sticks centred, the vehicle levels itself.
+    #[default]
+    Angle,
+    /// A rate: sticks centred, the vehicle stays as it is.
+    Rate,
+}
+
+impl FlightMode {
+    /// What the mode switch says.
+    pub fn from_frame(frame: &RcFrame) -> Self {
+        if frame.mode_switch > request::SWITCH_ON_TICKS { Self::Rate } else { Self::Angle }
+    }
+}
+
+/// Tick of a stick at its low end (SBUS and CRSF: 988 µs).
+pub const LOW_TICKS: u16 = 172;
+/// Tick of a centred stick (1,500 µs).
+pub const CENTRE_TICKS: u16 = 992;
+/// Tick of a stick at its high end (2,012 µs).
+pub const HIGH_TICKS: u16 = 1811;
+
+/// Stick positions. A transmitter's extended end points (beyond 172 and 1811) read as full deflection.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Sticks {
+    /// 0 to 1.
+    pub throttle: f32,
+    /// −1 (left) to 1 (right).
+    pub roll: f32,
+    /// −1 (nose up) to 1 (nose down).
+    pub pitch: f32,
+    /// −1 (anticlockwise from above) to 1 (clockwise).
+    pub yaw: f32,
+}
+
+impl Sticks {
+    /// Reads a frame.
+    pub fn from_frame(frame: &RcFrame) -> Self {
+        const SPAN: f32 = (HIGH_TICKS - LOW_TICKS) as f32;
+        const HALF_SPAN: f32 = (HIGH_TICKS - CENTRE_TICKS) as f32;
+        let [throttle, roll, pitch, yaw] = frame.channels.map(|t| i32::from(t.clamp(LOW_TICKS, HIGH_TICKS)));
+        // 172 is 820 ticks below the centre, 1811 is 819 above: full low stick reads −1, not −1.001.
+        let centred = |ticks: i32| max((ticks - i32::from(CENTRE_TICKS)) as f32 / HALF_SPAN, -1.0);
+        Self {
+            throttle: (throttle - i32::from(LOW_TICKS)) as f32 / SPAN,
+            roll: centred(roll),
+            pitch: centred(pitch),
+            yaw: centred(yaw),
+        }
+    }
+
+    /// Whether the throttle counts as low.
+    #[inline(always)]
+    pub fn throttle_is_low(&self) -> bool {
+        self.throttle < LOW_THROTTLE
+    }
+
+    /// What the sticks ask for by where they are held.
+    pub fn gesture(&self) -> Gesture {
+        if !self.throttle_is_low() {
+            Gesture::None
+        } else if self.yaw > FULL_YAW {
+            Gesture::Arm
+        } else if self.yaw < -FULL_YAW {
+            Gesture::Disarm
+        } else {
+            Gesture::None
+        }
+    }
+}
+
+/// Below this the throttle counts as low.
+const LOW_THROTTLE: f32 = 0.05;
+/// Beyond this the yaw stick counts as fully deflected.
+const FULL_YAW: f32 = 0.9;
+
+/// A wish that the pilot expresses with both sticks.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Gesture {
+    /// Nothing but flying.
+    #[default]
+    None,
+    /// Throttle low, yaw full right.
+    Arm,
+    /// Throttle low, yaw full left.
+    Disarm,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ends_and_centre() {
+        let frame = |channels| RcFrame {
+            channels,
+            arm_switch: LOW_TICKS,
+            mode_switch: LOW_TICKS,
+            status: LinkStatus::Good,
+        };
+        let low = Sticks::from_frame(&frame([LOW_TICKS; 4]));
+        assert_eq!(low, Sticks { throttle: 0.0, roll: -1.0, pitch: -1.0, yaw: -1.0 });
+        assert_eq!(low.gesture(), Gesture::Disarm);
+        let high = Sticks::from_frame(&frame([2047; 4]));
+        assert_eq!(high, Sticks { throttle: 1.0, roll: 1.0, pitch: 1.0, yaw: 1.0 });
+        assert_eq!(high.gesture(), Gesture::None);
+        let arm = Sticks::from_frame(&frame([LOW_TICKS, CENTRE_TICKS, CENTRE_TICKS, HIGH_TICKS]));
+        assert_eq!((arm.gesture(), arm.roll, arm.pitch), (Gesture::Arm, 0.0, 0.0));
+    }
+
+    #[test]
+    fn channels_of_a_receiver() {
+        let mut channels = [0; 16];
+        for (index, channel) in channels.iter_mut().enumerate() {
+            *channel = 1_000 + index as u16;
+        }
+        let frame = ChannelMap::AETR.frame(&channels, LinkStatus::FrameLost);
+        assert_eq!(frame.channels, [1_002, 1_000, 1_001, 1_003]);
+        assert_eq!((frame.arm_switch, frame.mode_switch), (1_004, 1_005));
+        assert_eq!(frame.status, LinkStatus::FrameLost);
+        assert_eq!(FlightMode::from_frame(&frame), FlightMode::Angle);
+        assert_eq!(FlightMode::from_frame(&RcFrame { mode_switch: HIGH_TICKS, ..frame }), FlightMode::Rate);
+        let map = ChannelMap { mode: 16, ..ChannelMap::AETR };
+        assert_eq!(map.validate().unwrap_err().field, "rc.channels");
+    }
+}
