@@ -30,8 +30,6 @@ mod clock;
 mod fault;
 #[cfg(not(feature = "qemu"))]
 mod icm42688p;
-#[cfg(not(feature = "qemu"))]
-mod pulse;
 mod tally;
 
 use defmt_rtt as _;
