@@ -274,7 +274,7 @@ fn adaptive_full_scale_repeats_samples_unless_it_is_off() {
     let shaken = || {
         let clock = Clock::default();
         let source = |at_ns: u64| {
-            let fast = if at_ns / (20 * MS) % 2 == 0 { 0 } else { 2_460 };
+            let fast = if (at_ns / (20 * MS)).is_multiple_of(2) { 0 } else { 2_460 };
             let n = (at_ns / MS % 100) as i16;
             ImuSample { gyro: [fast + n, n, n], accel: [n, 0, 0] }
         };
