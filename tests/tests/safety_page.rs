@@ -16,7 +16,9 @@ fn meanings() -> Vec<(String, String)> {
     for line in source.lines().map(str::trim) {
         if let Some(text) = line.strip_prefix("/// ") {
             comment = [comment.as_str(), text].join(" ").trim().to_owned();
-        } else if let Some((name, _)) = line.strip_prefix("const ").and_then(|rest| rest.split_once(" = 1 <<")) {
+        } else if let Some((name, _)) =
+            line.strip_prefix("const ").and_then(|rest| rest.split_once(" = 1 <<"))
+        {
             found.push((name.to_owned(), std::mem::take(&mut comment)));
         } else {
             comment.clear();
@@ -43,7 +45,8 @@ fn table() -> String {
     for Row { from, when, unless, to, cause } in ArmState::ALL.into_iter().flat_map(rows) {
         let to = if from == to { "stay: refused".to_owned() } else { format!("`{}`", to.name()) };
         let from = from.name();
-        writeln!(text, "| `{from}` | {} | {} | {to} | {} |", names(*when), names(*unless), cause.text()).unwrap();
+        writeln!(text, "| `{from}` | {} | {} | {to} | {} |", names(*when), names(*unless), cause.text())
+            .unwrap();
     }
     text
 }
@@ -62,7 +65,7 @@ fn the_page_is_the_table() {
     let page = std::fs::read_to_string(&path).unwrap();
     let should = with(&with(&page, "conditions", &conditions()), "table", &table());
     if std::env::var_os("KESTREL_WRITE_DOCS").is_some() {
-        std::fs::write(&path, &should).unwrap();
+        return std::fs::write(&path, &should).unwrap();
     }
     assert!(page == should, "docs/safety.md is not what the arming table says: see this test's first lines");
 }
