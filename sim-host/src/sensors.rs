@@ -13,18 +13,29 @@ use crate::effects::{BoxedSensorEffect, Moment, OPTIONAL};
 /// A chip's 16-bit converter.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Converter {
-    /// SI units (magnetometer: µT) per count.
-    pub per_count: f64,
+    per_count: f64,
+    /// Its reciprocal: a division at every sample would cost more than the rest.
+    counts_per_unit: f64,
 }
 
 impl Converter {
+    /// A converter with so many SI units (magnetometer: µT) per count.
+    pub fn new(per_count: f64) -> Self {
+        Self { per_count, counts_per_unit: 1.0 / per_count }
+    }
+
+    /// SI units (magnetometer: µT) per count.
+    pub fn per_count(&self) -> f64 {
+        self.per_count
+    }
+
     /// Nearest count, the ends of the range included.
     #[inline(always)]
     fn convert(&self, reading: f64) -> i16 {
-        // Adding and taking away 1.5 · 2⁵² rounds to the nearest integer, halves to even.
+        // Adding 1.5 · 2⁵² rounds to the nearest integer, halves to even, and leaves it in the lowest bits.
         const ROUNDER: f64 = 6_755_399_441_055_744.0;
-        let counts = (reading / self.per_count).clamp(-32768.0, 32767.0);
-        ((counts + ROUNDER) - ROUNDER) as i16
+        let counts = (reading * self.counts_per_unit).clamp(-32768.0, 32767.0);
+        (counts + ROUNDER).to_bits() as i16
     }
 }
 
@@ -72,7 +83,7 @@ impl Sensor {
     /// What counts mean by the datasheet, in SI (magnetometer: µT).
     pub fn nominal(&self, counts: [i16; 3]) -> Vec3<f64> {
         let [x, y, z] = counts.map(f64::from);
-        vec3(x, y, z) * self.converter.per_count
+        vec3(x, y, z) * self.converter.per_count()
     }
 }
 
@@ -150,8 +161,9 @@ impl Sensors {
         let sample = match &mut self.jitter {
             None => self.imu_at(at),
             Some(jitter) => {
-                let (state, specific_force, time_s) = jitter.displaced(at);
-                self.imu_at(&Moment { time_s, state: &state, specific_force, ..*at })
+                let mut state = *at.state;
+                let at = jitter.displaced(at, &mut state);
+                self.imu_at(&at)
             }
         };
         *arrived = Some(sample);
@@ -173,11 +185,9 @@ mod tests {
     use super::*;
     use crate::effects::sensor::testing::at_rest;
 
-    const GYRO: Converter = Converter { per_count: 1e-3 };
-
     #[test]
     fn without_effects_only_the_converter_acts() {
-        let mut sensor = Sensor::new(vec![], GYRO);
+        let mut sensor = Sensor::new(vec![], Converter::new(1e-3));
         let truth = vec3(0.123_456, -1.0, 40.0);
         at_rest(|at| {
             assert_eq!(sensor.measure(truth, at), truth);

@@ -383,7 +383,7 @@ impl file::Flight {
             }
         };
         let along_body =
-            |c: Converter| Sensitivity { per_count: c.per_count as f32, mounting: Mat3::IDENTITY };
+            |c: Converter| Sensitivity { per_count: c.per_count() as f32, mounting: Mat3::IDENTITY };
         let [gyro, accel, mag] = preset.converters().map(along_body);
         let params = Params {
             imu_rate_hz: DEFAULT_RATE_HZ as f32,
