@@ -6,6 +6,7 @@
 
 use flight_core::geometry::{Vec3, vec3};
 use flight_core::sample::{ImuSample, MagSample};
+use wide::f64x4;
 
 use crate::effects::delivery::{BoxedDelivery, Jitter};
 use crate::effects::{BoxedSensorEffect, Moment, OPTIONAL};
@@ -29,13 +30,17 @@ impl Converter {
         self.per_count
     }
 
-    /// Nearest count, the ends of the range included.
+    /// Nearest counts, the ends of the range included. The axes stand side by side in a vector, which a
+    /// compiler does not make of them by itself.
     #[inline(always)]
-    fn convert(&self, reading: f64) -> i16 {
+    fn convert(&self, Vec3 { x, y, z }: Vec3<f64>) -> [i16; 3] {
+        const LOWEST: f64x4 = f64x4::splat(-32768.0);
+        const HIGHEST: f64x4 = f64x4::splat(32767.0);
         // Adding 1.5 · 2⁵² rounds to the nearest integer, halves to even, and leaves it in the lowest bits.
-        const ROUNDER: f64 = 6_755_399_441_055_744.0;
-        let counts = (reading * self.counts_per_unit).clamp(-32768.0, 32767.0);
-        (counts + ROUNDER).to_bits() as i16
+        const ROUNDER: f64x4 = f64x4::splat(6_755_399_441_055_744.0);
+        let counts = f64x4::new([x, y, z, 0.0]) * f64x4::splat(self.counts_per_unit);
+        let [x, y, z, _] = (counts.fast_max(LOWEST).fast_min(HIGHEST) + ROUNDER).to_array();
+        [x, y, z].map(|counts| counts.to_bits() as i16)
     }
 }
 
@@ -72,12 +77,7 @@ impl Sensor {
     #[inline(always)]
     pub fn sample(&mut self, truth: Vec3<f64>, at: &Moment) -> [i16; 3] {
         let reading = self.measure(truth, at);
-        self.convert(reading)
-    }
-
-    #[inline(always)]
-    fn convert(&self, Vec3 { x, y, z }: Vec3<f64>) -> [i16; 3] {
-        [self.converter.convert(x), self.converter.convert(y), self.converter.convert(z)]
+        self.converter.convert(reading)
     }
 
     /// What counts mean by the datasheet, in SI (magnetometer: µT).
@@ -117,7 +117,10 @@ impl Sensors {
     /// The sample of these true values, rad/s and m/s², but for the converters.
     #[inline(always)]
     pub fn perfect_imu(&self, rates: Vec3<f64>, specific_force: Vec3<f64>) -> ImuSample {
-        ImuSample { gyro: self.gyro.convert(rates), accel: self.accel.convert(specific_force) }
+        ImuSample {
+            gyro: self.gyro.converter.convert(rates),
+            accel: self.accel.converter.convert(specific_force),
+        }
     }
 
     /// What arrives of gyroscope and accelerometer. Called once a step.

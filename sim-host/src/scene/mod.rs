@@ -233,10 +233,11 @@ impl Scene {
         self.named().filter_map(|(name, named)| named.then_some(name)).collect()
     }
 
-    /// The same scene without one of its effects; `None` if it does not name it.
+    /// The same scene without one of its effects, or without all faults of a kind; `None` if it names none.
     pub fn without(&self, effect: &str) -> Option<Self> {
         let mut scene = self.clone();
-        scene.effects.leave_out(effect).then_some(scene)
+        let was_named = scene.effects.leave_out(effect) | faults::leave_out(&mut scene.faults, effect);
+        was_named.then_some(scene)
     }
 
     /// The effects that there are and the scene does not name.
