@@ -147,7 +147,7 @@ impl StillVehicle {
         let noise = |axis: u64| ((self.ms + axis) % 7 % 3) as i16 - 1;
         let g = 2_048.0;
         let (sin, cos) = (libm::sin(self.tilt_deg.to_radians()), libm::cos(self.tilt_deg.to_radians()));
-        let turn = if self.shaken && self.ms / 100 % 2 == 0 { 164 } else { 0 };
+        let turn = if self.shaken && (self.ms / 100).is_multiple_of(2) { 164 } else { 0 };
         let mut sample = ImuSample {
             gyro: [noise(0) + turn, noise(1), noise(2)],
             // Rolled to the right, specific force points up: to the left in body axes.
