@@ -12,6 +12,7 @@ pub mod earth_field;
 pub mod effects;
 pub mod estimate;
 pub mod flight;
+pub mod hil;
 pub mod input_error;
 pub mod log;
 pub mod output_file;
