@@ -29,8 +29,6 @@ mod board;
 mod clock;
 mod fault;
 #[cfg(not(feature = "qemu"))]
-mod icm42688p;
-#[cfg(not(feature = "qemu"))]
 mod pulse;
 mod tally;
 

@@ -7,6 +7,7 @@
 
 pub mod attitude_error;
 pub mod chart;
+pub mod chips;
 pub mod earth_field;
 pub mod effects;
 pub mod estimate;

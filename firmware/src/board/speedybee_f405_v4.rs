@@ -18,6 +18,7 @@
 use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 
 use cortex_m::peripheral::NVIC;
+use drivers::icm42688p::{self, Icm42688p};
 use embedded_hal::spi::MODE_3;
 use embedded_hal_bus::spi::{ExclusiveDevice, NoDelay};
 use flight_core::arming::MotorPermit;
@@ -34,7 +35,6 @@ use stm32f4xx_hal::timer::ErasedChannel;
 
 use super::{Board, OVERDUE_US, PERIOD_US, Step, WAKE_FLIGHT, listen};
 use crate::clock::Clock;
-use crate::icm42688p::Icm42688p;
 use crate::pulse;
 
 /// The board's name.
@@ -185,7 +185,9 @@ impl Sensors {
         let overdue = SAMPLE_OVERDUE.swap(false, Ordering::Acquire);
         let (at_us, imu) = if ready {
             // An unreadable sample is a missing one.
-            let sample = self.imu.as_mut().and_then(|imu| imu.sample().ok().flatten());
+            let frame = self.imu.as_mut().and_then(|imu| imu.read_frame().ok());
+            let risen = SAMPLE_READY.load(Ordering::Acquire);
+            let sample = frame.and_then(|frame| icm42688p::decode(&frame, risen).ok());
             (SAMPLE_READY_US.load(Ordering::Relaxed), sample)
         } else if overdue {
             (SAMPLE_OVERDUE_US.load(Ordering::Relaxed), None)

@@ -1,0 +1,454 @@
+//! The ICM-42688-P: gyroscope and accelerometer on SPI.
+//!
+//! After TDK's datasheet DS-000347; section numbers, reset values and quoted rules are those of revision 1.6
+//! as the crate `rigless` 0.3 (`chip/icm42688p.rs`, `chip/icm426xx.rs`) cites them. Without FIFO, APEX,
+//! self-test and filters, which the driver does not use: registers that are not in [`RESET_VALUES`] read zero
+//! and keep nothing.
+//!
+//! | what | as the datasheet has it |
+//! |---|---|
+//! | access (9.6) | a byte of direction and address; reads run on to the next address, a write takes one byte |
+//! | banks (13) | each with registers of its own; REG_BANK_SEL in all of them |
+//! | power-up, reset | registers after 1 ms (table 4; 14.1); then RESET_DONE_INT is set |
+//! | data registers (14.5 to 14.18) | −32,768 until the first sample, then the latest valid one |
+//! | range of a count (14.34) | −32,766 to 32,767 |
+//! | start (tables 1, 2) | the accelerometer's first data 10 ms after it is on, the gyroscope's after 30 ms |
+//! | rate (5.6) | that of the faster sensor |
+//! | DATA_RDY_INT (14.21) | set by a sample, cleared by reading INT_STATUS |
+//! | what must not be done | a write within 200 µs after a change of mode; gyroscope off within 45 ms (14.36); other settings than modes, rates and ranges while a sensor is on (12.9) |
+//!
+//! The datasheet is silent on these, and so:
+//! - A sample that lands during a burst changes the registers that are still to be read, byte by byte.
+//! - A chip that is not ready reads zero and keeps nothing.
+//! - A change of the rate starts a period anew.
+//! - The adaptive full-scale feature, which INTF_CONFIG1's reserved bits 7:6 leave on after reset (10), holds
+//!   the gyroscope's registers for 2 ms whenever a rate crosses 100 °/s (ArduPilot, pull request 25332: "between
+//!   1ms and 2ms").
+
+use std::cell::RefCell;
+use std::rc::Rc;
+
+use embedded_hal::spi::{ErrorKind, ErrorType, Operation, SpiDevice};
+use flight_core::sample::ImuSample;
+
+use super::{Clock, Fault, Faults, Misuse};
+
+const DEVICE_CONFIG: u8 = 0x11;
+const INT_CONFIG: u8 = 0x14;
+const ACCEL_DATA_X1: u8 = 0x1f;
+const GYRO_DATA_X1: u8 = 0x25;
+const GYRO_DATA_Z0: u8 = 0x2a;
+const INT_STATUS: u8 = 0x2d;
+const INTF_CONFIG0: u8 = 0x4c;
+const INTF_CONFIG1: u8 = 0x4d;
+const PWR_MGMT0: u8 = 0x4e;
+const GYRO_CONFIG0: u8 = 0x4f;
+const ACCEL_CONFIG0: u8 = 0x50;
+const INT_CONFIG1: u8 = 0x64;
+const INT_SOURCE0: u8 = 0x65;
+const WHO_AM_I: u8 = 0x75;
+const REG_BANK_SEL: u8 = 0x76;
+
+/// Registers that can be written, of the part of the chip that is played here: bank, address, value after a
+/// reset (14 to 16).
+const RESET_VALUES: [(u8, u8, u8); 21] = [
+    (0, DEVICE_CONFIG, 0x00),
+    (0, 0x13, 0x05), // DRIVE_CONFIG
+    (0, INT_CONFIG, 0x00),
+    (0, INTF_CONFIG0, 0x30),
+    (0, INTF_CONFIG1, 0x91),
+    (0, PWR_MGMT0, 0x00),
+    (0, GYRO_CONFIG0, 0x06),
+    (0, ACCEL_CONFIG0, 0x06),
+    (0, 0x51, 0x16), // GYRO_CONFIG1
+    (0, 0x52, 0x11), // GYRO_ACCEL_CONFIG0
+    (0, 0x53, 0x0d), // ACCEL_CONFIG1
+    (0, 0x63, 0x00), // INT_CONFIG0
+    (0, INT_CONFIG1, 0x10),
+    (0, INT_SOURCE0, 0x10),
+    (1, 0x0b, 0xa0), // GYRO_CONFIG_STATIC2 to 5
+    (1, 0x0c, 0x0d),
+    (1, 0x0d, 0xaa),
+    (1, 0x0e, 0x80),
+    (2, 0x03, 0x30), // ACCEL_CONFIG_STATIC2 to 4
+    (2, 0x04, 0x40),
+    (2, 0x05, 0x62),
+];
+
+const IDENTITY: u8 = 0x47;
+const DATA_RDY_INT: u8 = 0x08;
+const RESET_DONE_INT: u8 = 0x10;
+const READY_NS: u64 = 1_000_000;
+const MODE_CHANGE_NS: u64 = 200_000;
+const GYRO_START_NS: u64 = 30_000_000;
+const GYRO_SHORTEST_ON_NS: u64 = 45_000_000;
+const ACCEL_START_NS: u64 = 10_000_000;
+const LOWEST_COUNT: i32 = -32_766;
+/// 100 °/s at ±2,000 °/s.
+const ADAPTIVE_STEP_COUNTS: u16 = 1_640;
+const ADAPTIVE_HOLD_NS: u64 = 2_000_000;
+
+/// Periods of the data rates by their code (14.37), ns; 0 where the code has no rate that low-noise mode takes.
+const PERIOD_NS: [u64; 16] = [
+    0, 31_250, 62_500, 125_000, 250_000, 500_000, 1_000_000, 5_000_000, 10_000_000, 20_000_000, 40_000_000,
+    80_000_000, 0, 0, 0, 2_000_000,
+];
+
+/// Time of a byte on the bus at 10.5 MHz, ns.
+const BYTE_NS: u64 = 762;
+
+/// Where the sensor's counts come from: those at a time, ns, at ±2,000 °/s and ±16 g.
+pub type Source = Box<dyn FnMut(u64) -> ImuSample>;
+
+/// A handle on the chip: both the bus that a driver takes, and the view of whoever plays the world.
+#[derive(Clone)]
+pub struct Icm42688p(Rc<RefCell<Chip>>);
+
+impl Icm42688p {
+    /// A chip whose supply comes up now.
+    pub fn new(clock: &Clock, source: Source) -> Self {
+        let mut chip = Chip {
+            clock: clock.clone(),
+            source,
+            faults: Faults::default(),
+            misuse: vec![],
+            banks: [[0; 128]; 5],
+            bank: 0,
+            ready_ns: 0,
+            supply_back_ns: None,
+            mode_ns: None,
+            gyro_on_ns: None,
+            accel_on_ns: None,
+            next_sample_ns: None,
+            gyro_held_until_ns: 0,
+            gyro_was_fast: false,
+            latest: None,
+            edges: 0,
+            frame: Frame::Address,
+            line: None,
+        };
+        chip.restart(clock.now_ns());
+        Self(Rc::new(RefCell::new(chip)))
+    }
+
+    /// Lets something be wrong for a time, ns.
+    pub fn inject(&self, during: std::ops::Range<u64>, fault: Fault) {
+        self.0.borrow_mut().faults.list.push((during, fault));
+    }
+
+    /// What the driver did that it must not.
+    pub fn misuse(&self) -> Vec<Misuse> {
+        self.0.borrow().misuse.clone()
+    }
+
+    /// What a register holds. Looking does not clear anything.
+    pub fn register(&self, bank: u8, address: u8) -> u8 {
+        self.now().banks[usize::from(bank)][usize::from(address)]
+    }
+
+    /// The sample that the data registers hold, at the scale that is set.
+    pub fn latest(&self) -> Option<ImuSample> {
+        self.now().latest
+    }
+
+    /// How often the data-ready line has risen.
+    pub fn data_ready_edges(&self) -> u64 {
+        self.now().edges
+    }
+
+    /// When the next sample falls due, ns.
+    pub fn next_sample_ns(&self) -> Option<u64> {
+        self.now().next_sample_ns
+    }
+
+    fn now(&self) -> std::cell::RefMut<'_, Chip> {
+        let mut chip = self.0.borrow_mut();
+        chip.catch_up();
+        chip
+    }
+}
+
+/// Where in a transaction the chip is.
+#[derive(Clone, Copy)]
+enum Frame {
+    Address,
+    Read(u8),
+    Write(u8),
+    /// A write takes one byte.
+    Written,
+}
+
+struct Chip {
+    clock: Clock,
+    source: Source,
+    faults: Faults,
+    misuse: Vec<Misuse>,
+    banks: [[u8; 128]; 5],
+    bank: u8,
+    ready_ns: u64,
+    /// When the supply came back, or will, after its last cut.
+    supply_back_ns: Option<u64>,
+    /// When the mode changed last.
+    mode_ns: Option<u64>,
+    gyro_on_ns: Option<u64>,
+    accel_on_ns: Option<u64>,
+    next_sample_ns: Option<u64>,
+    gyro_held_until_ns: u64,
+    gyro_was_fast: bool,
+    latest: Option<ImuSample>,
+    edges: u64,
+    frame: Frame,
+    /// What the data line reads where the chip does not drive it.
+    line: Option<u8>,
+}
+
+impl Chip {
+    /// Everything as after power-up or a reset that happens at this time.
+    fn restart(&mut self, at_ns: u64) {
+        self.banks = [[0; 128]; 5];
+        for (bank, address, value) in RESET_VALUES {
+            self.banks[usize::from(bank)][usize::from(address)] = value;
+        }
+        self.banks[0][usize::from(WHO_AM_I)] = IDENTITY;
+        self.banks[0][usize::from(INT_STATUS)] = RESET_DONE_INT;
+        for address in (ACCEL_DATA_X1..=GYRO_DATA_Z0).step_by(2) {
+            self.banks[0][usize::from(address)] = 0x80;
+        }
+        self.bank = 0;
+        self.ready_ns = at_ns.saturating_add(READY_NS);
+        self.mode_ns = None;
+        self.gyro_on_ns = None;
+        self.accel_on_ns = None;
+        self.next_sample_ns = None;
+        self.gyro_held_until_ns = 0;
+        self.gyro_was_fast = false;
+        self.latest = None;
+    }
+
+    /// Does what fell due.
+    fn catch_up(&mut self) {
+        let now_ns = self.clock.now_ns();
+        if let Some(cut) = self.faults.power_cut(now_ns)
+            && self.supply_back_ns.is_none_or(|back_ns| cut.end > back_ns)
+        {
+            self.sample_until(cut.start);
+            self.restart(cut.end);
+            self.supply_back_ns = Some(cut.end);
+        }
+        self.sample_until(now_ns);
+    }
+
+    fn sample_until(&mut self, until_ns: u64) {
+        while let Some(due_ns) = self.next_sample_ns
+            && due_ns <= until_ns
+        {
+            self.next_sample_ns = self.period_ns().map(|period_ns| due_ns + period_ns);
+            if !self.faults.stalled(due_ns) {
+                self.land(due_ns);
+            }
+        }
+    }
+
+    /// Puts the sample of this time into the registers.
+    fn land(&mut self, at_ns: u64) {
+        let mut sample = (self.source)(at_ns);
+        self.hold_gyro(&mut sample, at_ns);
+        let has_started = |on_ns: Option<u64>, takes_ns| on_ns.is_some_and(|on_ns| at_ns >= on_ns + takes_ns);
+        let gyro = has_started(self.gyro_on_ns, GYRO_START_NS);
+        let accel = has_started(self.accel_on_ns, ACCEL_START_NS);
+        if gyro {
+            let range = self.setting(GYRO_CONFIG0) >> 5;
+            sample.gyro = self.put(GYRO_DATA_X1, sample.gyro, range);
+        }
+        if accel {
+            let range = self.setting(ACCEL_CONFIG0) >> 5 & 0b11;
+            sample.accel = self.put(ACCEL_DATA_X1, sample.accel, range);
+        }
+        if gyro || accel {
+            self.banks[0][usize::from(INT_STATUS)] |= DATA_RDY_INT;
+            self.raise_line();
+        }
+        if gyro && accel {
+            self.latest = Some(sample);
+        }
+    }
+
+    /// The adaptive full-scale feature.
+    fn hold_gyro(&mut self, sample: &mut ImuSample, at_ns: u64) {
+        let fast = sample.gyro.iter().any(|counts| counts.unsigned_abs() > ADAPTIVE_STEP_COUNTS);
+        if fast != self.gyro_was_fast && self.setting(INTF_CONFIG1) >> 6 == 0b10 {
+            self.gyro_held_until_ns = at_ns + ADAPTIVE_HOLD_NS;
+        }
+        self.gyro_was_fast = fast;
+        if at_ns < self.gyro_held_until_ns
+            && let Some(latest) = self.latest
+        {
+            sample.gyro = latest.gyro;
+        }
+    }
+
+    /// Writes three counts into the registers from `first` on; returns them as they are there. Each step of
+    /// the range halves it.
+    fn put(&mut self, first: u8, counts: [i16; 3], range: u8) -> [i16; 3] {
+        let counts = counts.map(|axis| (i32::from(axis) << range).clamp(LOWEST_COUNT, 32_767) as i16);
+        let big_endian = self.setting(INTF_CONFIG0) & 0x10 != 0;
+        for (axis, count) in counts.iter().enumerate() {
+            let bytes = if big_endian { count.to_be_bytes() } else { count.to_le_bytes() };
+            self.banks[0][usize::from(first) + 2 * axis..][..2].copy_from_slice(&bytes);
+        }
+        counts
+    }
+
+    fn raise_line(&mut self) {
+        if self.setting(INT_SOURCE0) & 0x08 == 0 {
+            return;
+        }
+        if self.setting(INT_CONFIG1) & 0x10 != 0 {
+            self.misuse.push(Misuse::AsyncReset);
+        } else if self.setting(INT_CONFIG) & 0b111 == 0b011 {
+            // Pulsed, push-pull, active high: any other line gives this board no rising edges.
+            self.edges += 1;
+        }
+    }
+
+    fn setting(&self, address: u8) -> u8 {
+        self.banks[0][usize::from(address)]
+    }
+
+    /// That of the fastest sensor that is on.
+    fn period_ns(&self) -> Option<u64> {
+        let period_ns = |on_ns: Option<u64>, config| {
+            let period_ns = PERIOD_NS[usize::from(self.setting(config) & 0x0f)];
+            (on_ns.is_some() && period_ns > 0).then_some(period_ns)
+        };
+        let gyro_ns = period_ns(self.gyro_on_ns, GYRO_CONFIG0);
+        gyro_ns.into_iter().chain(period_ns(self.accel_on_ns, ACCEL_CONFIG0)).min()
+    }
+
+    fn read(&mut self, address: u8) -> u8 {
+        let value = match (self.bank, address) {
+            (_, REG_BANK_SEL) => self.bank,
+            (0, WHO_AM_I) => self.faults.identity(self.clock.now_ns()).unwrap_or(IDENTITY),
+            (bank @ 0..=4, _) => self.banks[usize::from(bank)][usize::from(address)],
+            _ => 0,
+        };
+        if (self.bank, address) == (0, INT_STATUS) {
+            self.banks[0][usize::from(INT_STATUS)] = 0;
+        }
+        value
+    }
+
+    fn write(&mut self, address: u8, value: u8) {
+        let now_ns = self.clock.now_ns();
+        if self.mode_ns.is_some_and(|mode_ns| now_ns < mode_ns + MODE_CHANGE_NS) {
+            self.misuse.push(Misuse::ModeChanging);
+        }
+        if address == REG_BANK_SEL {
+            self.bank = value & 0b111;
+            return;
+        }
+        let known = RESET_VALUES.iter().any(|(bank, known, _)| (*bank, *known) == (self.bank, address));
+        if !known || self.faults.is_stuck(now_ns, self.bank, address) {
+            return;
+        }
+        let any_time = [DEVICE_CONFIG, PWR_MGMT0, GYRO_CONFIG0, ACCEL_CONFIG0];
+        let on = self.gyro_on_ns.is_some() || self.accel_on_ns.is_some();
+        if on && !(self.bank == 0 && any_time.contains(&address)) {
+            self.misuse.push(Misuse::Sampling);
+        }
+        self.banks[usize::from(self.bank)][usize::from(address)] = value;
+        match (self.bank, address) {
+            (0, DEVICE_CONFIG) if value & 0x01 != 0 => self.restart(now_ns),
+            (0, PWR_MGMT0) => self.change_mode(value, now_ns),
+            (0, GYRO_CONFIG0 | ACCEL_CONFIG0) if on => {
+                self.next_sample_ns = self.period_ns().map(|period_ns| now_ns + period_ns);
+            }
+            _ => {}
+        }
+    }
+
+    /// Low-noise mode is 11 for both sensors; the others are taken for off.
+    fn change_mode(&mut self, value: u8, now_ns: u64) {
+        let switch = |since_ns: Option<u64>, on: bool| on.then(|| since_ns.unwrap_or(now_ns));
+        let gyro_on_ns = switch(self.gyro_on_ns, value >> 2 & 0b11 == 0b11);
+        if let (Some(since_ns), None) = (self.gyro_on_ns, gyro_on_ns)
+            && now_ns < since_ns + GYRO_SHORTEST_ON_NS
+        {
+            self.misuse.push(Misuse::OffTooEarly);
+        }
+        self.gyro_on_ns = gyro_on_ns;
+        self.accel_on_ns = switch(self.accel_on_ns, value & 0b11 == 0b11);
+        self.mode_ns = Some(now_ns);
+        self.next_sample_ns = self.period_ns().map(|period_ns| now_ns + period_ns);
+    }
+
+    /// One byte out, one byte in.
+    fn exchange(&mut self, sent: u8) -> u8 {
+        self.catch_up();
+        let now_ns = self.clock.now_ns();
+        let ready = now_ns >= self.ready_ns;
+        // Who does not know of a cut of the supply cannot wait for its end.
+        let knows =
+            self.supply_back_ns.is_none_or(|back_ns| self.ready_ns != back_ns.saturating_add(READY_NS));
+        if !ready && knows && matches!(self.frame, Frame::Address) {
+            self.misuse.push(Misuse::NotReady);
+        }
+        let mut answer = 0;
+        self.frame = match self.frame {
+            Frame::Address if sent & 0x80 != 0 => Frame::Read(sent & 0x7f),
+            Frame::Address => Frame::Write(sent),
+            Frame::Read(address) => {
+                if ready {
+                    answer = self.read(address);
+                }
+                Frame::Read((address + 1) & 0x7f)
+            }
+            Frame::Write(address) => {
+                if ready {
+                    self.write(address, sent);
+                }
+                Frame::Written
+            }
+            Frame::Written => Frame::Written,
+        };
+        self.clock.advance_ns(BYTE_NS);
+        self.line.unwrap_or(answer)
+    }
+}
+
+impl ErrorType for Icm42688p {
+    type Error = ErrorKind;
+}
+
+impl SpiDevice for Icm42688p {
+    fn transaction(&mut self, operations: &mut [Operation<'_, u8>]) -> Result<(), ErrorKind> {
+        let mut chip = self.now();
+        let now_ns = chip.clock.now_ns();
+        if chip.faults.next_transaction_fails(now_ns) {
+            return Err(ErrorKind::Other);
+        }
+        chip.line = chip.faults.no_answer(now_ns);
+        chip.frame = Frame::Address;
+        for operation in operations {
+            match operation {
+                Operation::Read(received) => received.fill_with(|| chip.exchange(0)),
+                Operation::Write(sent) => sent.iter().for_each(|byte| {
+                    chip.exchange(*byte);
+                }),
+                Operation::Transfer(received, sent) => {
+                    for n in 0..received.len().max(sent.len()) {
+                        let answer = chip.exchange(sent.get(n).copied().unwrap_or(0));
+                        if let Some(byte) = received.get_mut(n) {
+                            *byte = answer;
+                        }
+                    }
+                }
+                Operation::TransferInPlace(bytes) => {
+                    bytes.iter_mut().for_each(|byte| *byte = chip.exchange(*byte));
+                }
+                Operation::DelayNs(ns) => chip.clock.advance_ns(u64::from(*ns)),
+            }
+        }
+        Ok(())
+    }
+}

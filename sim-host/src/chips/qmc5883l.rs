@@ -1,0 +1,289 @@
+//! The QMC5883L: magnetometer on I2C.
+//!
+//! After QST's datasheet 1.0 (February 2016); section numbers and quoted rules as the crate `rigless` 0.3
+//! (`chip/qmc5883l.rs`) cites them. Without the data-ready line, the temperature and pointer roll-over, which
+//! the driver does not use.
+//!
+//! | what | as the datasheet has it |
+//! |---|---|
+//! | address (5.4) | 0x0d; no other is acknowledged |
+//! | power-up (table 7) | nothing is acknowledged for 350 µs; then standby |
+//! | access (8.2) | a write sets the pointer, then registers; reads run on from the pointer |
+//! | DRDY (9.2.2) | set by a sample, cleared by reading a data register |
+//! | data protection (6.2.1) | from the first read of a data register to that of 05H samples are lost |
+//! | DOR (9.2.2) | set where a sample is lost or flushes one that was not read, cleared by reading a data register |
+//! | OVL (9.2.2) | set while an axis is beyond 16 bits |
+//! | SOFT_RST (9.2.4) | every register as after power-up |
+//!
+//! The datasheet is silent on these, and so:
+//! - A soft reset takes as long as power-up.
+//! - The first sample comes a period after continuous mode was set.
+
+use std::cell::RefCell;
+use std::rc::Rc;
+
+use embedded_hal::i2c::{ErrorKind, ErrorType, I2c, NoAcknowledgeSource, Operation};
+use flight_core::sample::MagSample;
+
+use super::{Clock, Fault, Faults, Misuse};
+
+const ADDRESS: u8 = 0x0d;
+const DATA_LAST: u8 = 0x05;
+const STATUS: u8 = 0x06;
+const CONTROL_1: u8 = 0x09;
+const CONTROL_2: u8 = 0x0a;
+const SET_RESET_PERIOD: u8 = 0x0b;
+const CHIP_ID: u8 = 0x0d;
+
+const IDENTITY: u8 = 0xff;
+const DRDY: u8 = 0x01;
+const OVL: u8 = 0x02;
+const DOR: u8 = 0x04;
+const SOFT_RST: u8 = 0x80;
+/// The bits of CONTROL_2 that keep what is written: roll-over and interrupt.
+const CONTROL_2_KEPT: u8 = 0x41;
+const READY_NS: u64 = 350_000;
+/// By the code of the data rate.
+const PERIOD_NS: [u64; 4] = [100_000_000, 20_000_000, 10_000_000, 5_000_000];
+
+/// Time of a byte and its acknowledgement on the bus at 400 kHz, ns.
+const BYTE_NS: u64 = 22_500;
+
+/// Where the sensor's counts come from: those at a time, ns, at ±8 G. Beyond 16 bits is out of range.
+pub type Source = Box<dyn FnMut(u64) -> [i32; 3]>;
+
+/// A handle on the chip: both the bus that a driver takes, and the view of whoever plays the world.
+#[derive(Clone)]
+pub struct Qmc5883l(Rc<RefCell<Chip>>);
+
+impl Qmc5883l {
+    /// A chip whose supply comes up now.
+    pub fn new(clock: &Clock, source: Source) -> Self {
+        let mut chip = Chip {
+            clock: clock.clone(),
+            source,
+            faults: Faults::default(),
+            misuse: vec![],
+            registers: [0; 14],
+            pointer: 0,
+            locked: false,
+            ready_ns: 0,
+            supply_back_ns: None,
+            next_sample_ns: None,
+            latest: None,
+            line: None,
+        };
+        chip.restart(clock.now_ns());
+        Self(Rc::new(RefCell::new(chip)))
+    }
+
+    /// Lets something be wrong for a time, ns.
+    pub fn inject(&self, during: std::ops::Range<u64>, fault: Fault) {
+        self.0.borrow_mut().faults.list.push((during, fault));
+    }
+
+    /// What the driver did that it must not.
+    pub fn misuse(&self) -> Vec<Misuse> {
+        self.0.borrow().misuse.clone()
+    }
+
+    /// What a register holds. Looking does not clear anything.
+    pub fn register(&self, address: u8) -> u8 {
+        self.now().registers[usize::from(address)]
+    }
+
+    /// The sample that the data registers hold, at the scale that is set.
+    pub fn latest(&self) -> Option<MagSample> {
+        self.now().latest
+    }
+
+    /// When the next sample falls due, ns.
+    pub fn next_sample_ns(&self) -> Option<u64> {
+        self.now().next_sample_ns
+    }
+
+    fn now(&self) -> std::cell::RefMut<'_, Chip> {
+        let mut chip = self.0.borrow_mut();
+        chip.catch_up();
+        chip
+    }
+}
+
+struct Chip {
+    clock: Clock,
+    source: Source,
+    faults: Faults,
+    misuse: Vec<Misuse>,
+    registers: [u8; 14],
+    pointer: u8,
+    /// Data protection: a data register has been read, and the last of them has not.
+    locked: bool,
+    ready_ns: u64,
+    /// When the supply came back, or will, after its last cut.
+    supply_back_ns: Option<u64>,
+    next_sample_ns: Option<u64>,
+    latest: Option<MagSample>,
+    /// What the data line reads where the chip does not drive it.
+    line: Option<u8>,
+}
+
+impl Chip {
+    /// Everything as after power-up or a reset that happens at this time.
+    fn restart(&mut self, at_ns: u64) {
+        self.registers = [0; 14];
+        self.registers[usize::from(CHIP_ID)] = IDENTITY;
+        self.pointer = 0;
+        self.locked = false;
+        self.ready_ns = at_ns.saturating_add(READY_NS);
+        self.next_sample_ns = None;
+        self.latest = None;
+    }
+
+    /// Does what fell due.
+    fn catch_up(&mut self) {
+        let now_ns = self.clock.now_ns();
+        if let Some(cut) = self.faults.power_cut(now_ns)
+            && self.supply_back_ns.is_none_or(|back_ns| cut.end > back_ns)
+        {
+            self.sample_until(cut.start);
+            self.restart(cut.end);
+            self.supply_back_ns = Some(cut.end);
+        }
+        self.sample_until(now_ns);
+    }
+
+    fn sample_until(&mut self, until_ns: u64) {
+        while let Some(due_ns) = self.next_sample_ns
+            && due_ns <= until_ns
+        {
+            self.next_sample_ns = self.period_ns().map(|period_ns| due_ns + period_ns);
+            if !self.faults.stalled(due_ns) {
+                self.land(due_ns);
+            }
+        }
+    }
+
+    /// Puts the sample of this time into the registers, unless they are being read.
+    fn land(&mut self, at_ns: u64) {
+        let status = self.registers[usize::from(STATUS)];
+        if self.locked {
+            self.registers[usize::from(STATUS)] = status | DOR;
+            return;
+        }
+        // ±2 G has four times the counts.
+        let scale = if self.registers[usize::from(CONTROL_1)] & 0x10 == 0 { 4 } else { 1 };
+        let counts = (self.source)(at_ns).map(|axis| axis * scale);
+        let ends = i32::from(i16::MIN)..=i32::from(i16::MAX);
+        let overflow = if counts.iter().all(|axis| ends.contains(axis)) { 0 } else { OVL };
+        let flushed = if status & DRDY == 0 { 0 } else { DOR };
+        self.registers[usize::from(STATUS)] = DRDY | overflow | (status & DOR) | flushed;
+        let counts = counts.map(|axis| axis.clamp(*ends.start(), *ends.end()) as i16);
+        for (axis, count) in counts.iter().enumerate() {
+            self.registers[2 * axis..][..2].copy_from_slice(&count.to_le_bytes());
+        }
+        self.latest = Some(MagSample { counts });
+    }
+
+    /// In continuous mode.
+    fn period_ns(&self) -> Option<u64> {
+        let control = self.registers[usize::from(CONTROL_1)];
+        (control & 0b11 == 0b01).then(|| PERIOD_NS[usize::from(control >> 2 & 0b11)])
+    }
+
+    fn read_next(&mut self) -> u8 {
+        self.catch_up();
+        let now_ns = self.clock.now_ns();
+        let address = self.pointer;
+        self.pointer = self.pointer.wrapping_add(1);
+        self.clock.advance_ns(BYTE_NS);
+        if let Some(reads) = self.line {
+            return reads;
+        }
+        if now_ns < self.ready_ns {
+            // The supply went after the address was acknowledged: nobody pulls the line low any more.
+            return 0xff;
+        }
+        let value = match address {
+            CHIP_ID => self.faults.identity(now_ns).unwrap_or(IDENTITY),
+            _ => self.registers.get(usize::from(address)).copied().unwrap_or(0),
+        };
+        if address <= DATA_LAST {
+            if !self.locked {
+                self.registers[usize::from(STATUS)] &= !(DRDY | DOR);
+            }
+            self.locked = address != DATA_LAST;
+        }
+        value
+    }
+
+    fn write_next(&mut self, value: u8) {
+        self.catch_up();
+        let now_ns = self.clock.now_ns();
+        let address = self.pointer;
+        self.pointer = self.pointer.wrapping_add(1);
+        self.clock.advance_ns(BYTE_NS);
+        if self.faults.is_stuck(now_ns, 0, address) {
+            return;
+        }
+        match address {
+            CONTROL_2 if value & SOFT_RST != 0 => self.restart(self.clock.now_ns()),
+            CONTROL_2 => self.registers[usize::from(CONTROL_2)] = value & CONTROL_2_KEPT,
+            SET_RESET_PERIOD => self.registers[usize::from(SET_RESET_PERIOD)] = value,
+            CONTROL_1 => {
+                self.registers[usize::from(CONTROL_1)] = value;
+                self.next_sample_ns = self.period_ns().map(|period_ns| now_ns + period_ns);
+            }
+            _ => {}
+        }
+    }
+
+    /// Whether the chip acknowledges its address now.
+    fn acknowledges(&mut self, address: u8) -> bool {
+        let now_ns = self.clock.now_ns();
+        self.clock.advance_ns(BYTE_NS);
+        let ready = now_ns >= self.ready_ns;
+        // Who does not know of a cut of the supply cannot wait for its end.
+        let knows =
+            self.supply_back_ns.is_none_or(|back_ns| self.ready_ns != back_ns.saturating_add(READY_NS));
+        if !ready && knows && address == ADDRESS {
+            self.misuse.push(Misuse::NotReady);
+        }
+        let fails = self.faults.next_transaction_fails(now_ns);
+        self.line = self.faults.no_answer(now_ns);
+        match self.line {
+            None => ready && address == ADDRESS && !fails,
+            // A line that is low acknowledges anything.
+            Some(reads) => reads == 0,
+        }
+    }
+}
+
+impl ErrorType for Qmc5883l {
+    type Error = ErrorKind;
+}
+
+impl I2c for Qmc5883l {
+    fn transaction(&mut self, address: u8, operations: &mut [Operation<'_>]) -> Result<(), ErrorKind> {
+        let mut chip = self.now();
+        if !chip.acknowledges(address) {
+            return Err(ErrorKind::NoAcknowledge(NoAcknowledgeSource::Address));
+        }
+        for operation in operations {
+            match operation {
+                Operation::Read(received) => {
+                    // The address once more, to turn the direction.
+                    chip.clock.advance_ns(BYTE_NS);
+                    received.fill_with(|| chip.read_next());
+                }
+                Operation::Write(sent) => {
+                    if let [first, values @ ..] = sent {
+                        chip.pointer = *first;
+                        chip.clock.advance_ns(BYTE_NS);
+                        values.iter().for_each(|value| chip.write_next(*value));
+                    }
+                }
+            }
+        }
+        Ok(())
+    }
+}
