@@ -28,8 +28,6 @@ mod board;
 #[cfg(not(feature = "qemu"))]
 mod clock;
 mod fault;
-#[cfg(not(feature = "qemu"))]
-mod pulse;
 mod tally;
 
 use defmt_rtt as _;

@@ -23,6 +23,7 @@ use embedded_hal::spi::MODE_3;
 use embedded_hal_bus::spi::{ExclusiveDevice, NoDelay};
 use flight_core::arming::MotorPermit;
 use flight_core::calibration::Sensitivity;
+use flight_core::esc::protocol::{STOP_US, pwm_counts};
 use flight_core::geometry::{Mat3, vec3};
 use flight_core::sample::Health;
 use flight_core::{Config, Input, Params};
@@ -35,7 +36,6 @@ use stm32f4xx_hal::timer::ErasedChannel;
 
 use super::{Board, OVERDUE_US, PERIOD_US, Step, WAKE_FLIGHT, listen};
 use crate::clock::Clock;
-use crate::pulse;
 
 /// The board's name.
 pub const NAME: &str = "SpeedyBee F405 V4";
@@ -217,19 +217,19 @@ pub struct Outputs {
 impl Outputs {
     /// Sends pulses of rotors 1 to 4. The permit is used up: a step has one, and it moves the motors once.
     pub fn drive(&mut self, permit: MotorPermit, pulses_us: [f32; 4]) {
-        self.write(permit.apply(pulses_us, pulse::STOP_US));
+        self.write(permit.apply(pulses_us, STOP_US));
     }
 
     /// Sends the stop pulse to all four.
     pub fn stop(&mut self) {
-        self.write([pulse::STOP_US; 4]);
+        self.write([STOP_US; 4]);
     }
 
     /// The output map. A 4-in-1 ESC plugged into this board has motor 1 at the rear right, 2 at the front
     /// right, 3 at the rear left and 4 at the front left; rotors are counted clockwise from the front left.
     fn write(&mut self, pulses_us: [f32; 4]) {
         let [front_left, front_right, rear_right, rear_left] =
-            pulses_us.map(|us| pulse::counts(us, PULSE_COUNTS_PER_US));
+            pulses_us.map(|us| pwm_counts(us, PULSE_COUNTS_PER_US));
         self.m4.set_duty(front_left);
         self.m2.set_duty(front_right);
         self.m1.set_duty(rear_right);
@@ -248,7 +248,7 @@ impl Outputs {
 
 /// [`Outputs::stop`], from a fault: the stop pulse follows at the end of the pulse period, by hardware alone.
 pub fn stop_outputs() {
-    let stop = pulse::counts(pulse::STOP_US, PULSE_COUNTS_PER_US);
+    let stop = pwm_counts(STOP_US, PULSE_COUNTS_PER_US);
     // SAFETY: interrupts are off and the fault does not return, so the owner of the timers does not run any
     // more. Before `init` the timers have no clock, and the writes go nowhere.
     let (tim3, tim4) = unsafe { (&*TIM3::ptr(), &*TIM4::ptr()) };

@@ -1,4 +1,6 @@
-//! Rotor speed to ESC pulse.
+//! Rotor speed to ESC pulse, and the pulse to what goes over the wire ([`protocol`]).
+
+pub mod protocol;
 
 use crate::arithmetic::{max, min};
 use crate::config::{ConfigError, check};
