@@ -40,8 +40,6 @@ const DRDY: u8 = 0x01;
 const OVL: u8 = 0x02;
 /// STATUS: a sample was lost because the one before it had not been read.
 const DOR: u8 = 0x04;
-/// STATUS: bits that the chip never sets.
-const RESERVED: u8 = 0xf8;
 
 /// Mean of 512 (00), ±8 G (01), 100 Hz (10), continuous (01).
 const MEASURING: u8 = 0b00_01_10_01;
@@ -75,10 +73,9 @@ impl<E> From<E> for SetupError<E> {
 pub enum SampleError<E> {
     /// The bus failed, or the chip does not answer any more.
     Bus(E),
-    /// The line stayed high: the chip fell silent on the way.
-    NoAnswer,
-    /// The chip has lost its settings, as after a dip of its supply. It must be set up again.
-    Reset,
+    /// What follows the data is not the setting that was written there: the chip has reset, as after a dip of
+    /// its supply, or fell silent on the way. It must be set up again.
+    SettingLost,
     /// The field is beyond the range: what the registers hold is not it.
     Overflow,
     /// This sample is new and whole, but one or more before it were lost.
@@ -125,27 +122,24 @@ impl<I2C: I2c> Qmc5883l<I2C> {
     }
 
     /// Reads the latest sample, if there is one that was not read before. At 400 kHz it waits 0.16 ms, and
-    /// 0.38 ms if there is a sample.
+    /// 0.45 ms if there is a sample.
     ///
     /// # Errors
     /// See [`SampleError`].
     pub fn sample(&mut self) -> Result<Option<MagSample>, SampleError<I2C::Error>> {
-        // From the status on to the settings, with the temperature between them.
-        let [status, _, _, control] = self.read(STATUS)?;
-        if status & RESERVED != 0 {
-            return Err(SampleError::NoAnswer);
-        }
-        if control != MEASURING {
-            return Err(SampleError::Reset);
+        // Both readings go on to the setting, so that a line which only stays low or high is not taken for a
+        // chip.
+        let [status, .., setting] = self.read::<4>(STATUS)?;
+        if setting != MEASURING {
+            return Err(SampleError::SettingLost);
         }
         if status & DRDY == 0 {
             return Ok(None);
         }
-        // Also when the sample is of no use: reading it makes room for the next. The status again follows it,
-        // to see that the chip was there to the end.
-        let [xl, xh, yl, yh, zl, zh, after] = self.read(DATA)?;
-        if after & RESERVED != 0 {
-            return Err(SampleError::NoAnswer);
+        // Also when the sample is of no use: reading it makes room for the next.
+        let [xl, xh, yl, yh, zl, zh, .., setting] = self.read::<10>(DATA)?;
+        if setting != MEASURING {
+            return Err(SampleError::SettingLost);
         }
         let counts = [[xl, xh], [yl, yh], [zl, zh]].map(i16::from_le_bytes);
         let sample = MagSample { counts };

@@ -452,3 +452,124 @@ impl SpiDevice for Icm42688p {
         Ok(())
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const MS: u64 = 1_000_000;
+    const SAMPLE: ImuSample = ImuSample { gyro: [100, -200, 300], accel: [-1_000, 2_000, -3_000] };
+
+    /// A chip that is ready, which takes the same sample over and over.
+    fn chip() -> (Clock, Icm42688p) {
+        let clock = Clock::default();
+        let chip = Icm42688p::new(&clock, Box::new(|_| SAMPLE));
+        clock.advance_ns(MS);
+        (clock, chip)
+    }
+
+    fn write(chip: &Icm42688p, address: u8, value: u8) {
+        chip.clone().write(&[address, value]).unwrap();
+    }
+
+    fn read<const N: usize>(chip: &Icm42688p, address: u8) -> [u8; N] {
+        let mut values = [0; N];
+        let mut operations = [Operation::Write(&[0x80 | address]), Operation::Read(&mut values)];
+        chip.clone().transaction(&mut operations).unwrap();
+        values
+    }
+
+    #[test]
+    fn the_range_scales_the_counts() {
+        for (code, factor) in [(0, 1), (1, 2), (2, 4), (3, 8)] {
+            let (clock, chip) = chip();
+            write(&chip, GYRO_CONFIG0, code << 5 | 6);
+            write(&chip, ACCEL_CONFIG0, code << 5 | 6);
+            write(&chip, PWR_MGMT0, 0x0f);
+            clock.advance_ns(50 * MS);
+            let ImuSample { gyro, accel } = SAMPLE;
+            let scaled = ImuSample { gyro: gyro.map(|n| n * factor), accel: accel.map(|n| n * factor) };
+            assert_eq!(chip.latest(), Some(scaled));
+            assert_eq!(read(&chip, ACCEL_DATA_X1), scaled.accel[0].to_be_bytes());
+        }
+    }
+
+    #[test]
+    fn the_rate_sets_the_period() {
+        for (code, period_ns) in
+            [(1, 31_250), (3, 125_000), (6, MS), (15, 2 * MS), (7, 5 * MS), (11, 80 * MS)]
+        {
+            let (clock, chip) = chip();
+            write(&chip, GYRO_CONFIG0, code);
+            write(&chip, ACCEL_CONFIG0, code);
+            write(&chip, PWR_MGMT0, 0x0f);
+            let first_ns = chip.next_sample_ns().unwrap();
+            clock.advance_ns(first_ns - clock.now_ns());
+            assert_eq!(chip.next_sample_ns(), Some(first_ns + period_ns));
+        }
+    }
+
+    #[test]
+    fn data_is_invalid_until_the_sensors_have_started() {
+        let (clock, chip) = chip();
+        assert_eq!(read(&chip, INT_STATUS), [RESET_DONE_INT]);
+        write(&chip, PWR_MGMT0, 0x0f);
+        for (after_ms, accel, gyro) in [(5, false, false), (20, true, false), (40, true, true)] {
+            clock.advance_ns(after_ms * MS - (clock.now_ns() - MS));
+            assert_eq!(read(&chip, ACCEL_DATA_X1) != [0x80, 0x00], accel, "after {after_ms} ms");
+            assert_eq!(read(&chip, GYRO_DATA_X1) != [0x80, 0x00], gyro, "after {after_ms} ms");
+            assert_eq!(read(&chip, INT_STATUS), [if accel { DATA_RDY_INT } else { 0 }]);
+            assert_eq!(read(&chip, INT_STATUS), [0], "reading clears it");
+        }
+    }
+
+    #[test]
+    fn each_bank_has_its_own_registers() {
+        let (_, chip) = chip();
+        write(&chip, REG_BANK_SEL, 1);
+        write(&chip, 0x0d, 36);
+        write(&chip, WHO_AM_I, 36);
+        assert_eq!((read(&chip, 0x0d), read(&chip, WHO_AM_I)), ([36], [0]));
+        write(&chip, REG_BANK_SEL, 0);
+        assert_eq!((read(&chip, 0x0d), read(&chip, WHO_AM_I)), ([0], [IDENTITY]));
+    }
+
+    #[test]
+    fn what_the_datasheet_forbids_is_noticed() {
+        let misuse = |drive: fn(&Clock, &Icm42688p)| {
+            let (clock, chip) = chip();
+            drive(&clock, &chip);
+            chip.misuse()
+        };
+        let early = |_: &Clock, chip: &Icm42688p| {
+            write(chip, DEVICE_CONFIG, 0x01);
+            assert_eq!(read(chip, WHO_AM_I), [0]);
+        };
+        assert_eq!(misuse(early), [Misuse::NotReady]);
+        let hasty = |clock: &Clock, chip: &Icm42688p| {
+            write(chip, PWR_MGMT0, 0x0f);
+            clock.advance_ns(190_000);
+            write(chip, GYRO_CONFIG0, 0x05);
+        };
+        assert_eq!(misuse(hasty), [Misuse::ModeChanging]);
+        let running = |clock: &Clock, chip: &Icm42688p| {
+            write(chip, PWR_MGMT0, 0x0f);
+            clock.advance_ns(MS);
+            write(chip, INT_CONFIG, 0x03);
+        };
+        assert_eq!(misuse(running), [Misuse::Sampling]);
+        let short = |clock: &Clock, chip: &Icm42688p| {
+            write(chip, PWR_MGMT0, 0x0f);
+            clock.advance_ns(44 * MS);
+            write(chip, PWR_MGMT0, 0x00);
+        };
+        assert_eq!(misuse(short), [Misuse::OffTooEarly]);
+        let line = |clock: &Clock, chip: &Icm42688p| {
+            write(chip, INT_SOURCE0, 0x08);
+            write(chip, PWR_MGMT0, 0x0f);
+            clock.advance_ns(10 * MS);
+            assert_eq!(chip.data_ready_edges(), 0);
+        };
+        assert_eq!(misuse(line), [Misuse::AsyncReset]);
+    }
+}

@@ -287,3 +287,45 @@ impl I2c for Qmc5883l {
         Ok(())
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A chip that is ready, which takes the same sample over and over.
+    fn chip() -> (Clock, Qmc5883l) {
+        let clock = Clock::default();
+        let chip = Qmc5883l::new(&clock, Box::new(|_| [1_000, -2_000, 9_000]));
+        clock.advance_ns(READY_NS);
+        (clock, chip)
+    }
+
+    #[test]
+    fn range_and_rate_are_those_that_are_set() {
+        for (code, period_ns) in [(0, 100_000_000), (1, 20_000_000), (2, 10_000_000), (3, 5_000_000)] {
+            let (clock, chip) = chip();
+            chip.clone().write(ADDRESS, &[CONTROL_1, 0x10 | code << 2 | 1]).unwrap();
+            let first_ns = chip.next_sample_ns().unwrap();
+            clock.advance_ns(first_ns - clock.now_ns());
+            assert_eq!(chip.latest(), Some(MagSample { counts: [1_000, -2_000, 9_000] }));
+            assert_eq!(chip.next_sample_ns(), Some(first_ns + period_ns));
+            assert_eq!(chip.register(STATUS), DRDY);
+        }
+        let (clock, chip) = chip();
+        chip.clone().write(ADDRESS, &[CONTROL_1, 0x0d]).unwrap();
+        clock.advance_ns(6_000_000);
+        assert_eq!(chip.latest(), Some(MagSample { counts: [4_000, -8_000, i16::MAX] }), "±2 G");
+        assert_eq!(chip.register(STATUS), DRDY | OVL);
+    }
+
+    #[test]
+    fn it_answers_at_its_address_when_it_is_ready() {
+        let (_, mut ready) = chip();
+        assert_eq!(ready.write(ADDRESS, &[CHIP_ID]), Ok(()));
+        assert!(ready.write(0x1e, &[CHIP_ID]).is_err());
+        assert_eq!(ready.misuse(), []);
+        let mut early = Qmc5883l::new(&Clock::default(), Box::new(|_| [0; 3]));
+        assert!(early.write(ADDRESS, &[CHIP_ID]).is_err());
+        assert_eq!(early.misuse(), [Misuse::NotReady]);
+    }
+}
