@@ -56,7 +56,6 @@ pub struct FlightController {
     sticks: Sticks,
     gesture: Gesture,
     arm_switch: u16,
-    mode: FlightMode,
     saturation: Saturation,
     pulses_us: [f32; 4],
     time_us: Option<u64>,
@@ -113,7 +112,6 @@ impl FlightController {
             sticks: Sticks::default(),
             gesture: Gesture::None,
             arm_switch: SWITCH_OFF_TICKS,
-            mode: FlightMode::Angle,
             saturation: Saturation::default(),
             pulses_us: [esc.stop_us(); 4],
             time_us: None,
@@ -141,8 +139,9 @@ impl FlightController {
         self.watch(input, dt_us);
         self.estimate(input, dt_us);
         let event = self.arming.update(self.conditions(input, first), dt_us);
-        if let Some(event) = event {
-            self.enter(event);
+        if let Some(Event { to: ArmState::Descent, cause: Cause::RcLost, .. }) = event {
+            // Whatever the sticks last said.
+            self.controller.set_level(self.descent_throttle);
         }
         match self.arming.state() {
             ArmState::Armed | ArmState::Descent => self.control(dt_us as f32 * 1.0e-6),
@@ -168,19 +167,11 @@ impl FlightController {
             self.sticks = Sticks::from_frame(frame);
             self.gesture = self.sticks.gesture();
             self.arm_switch = frame.arm_switch;
-            self.mode = FlightMode::from_frame(frame);
-            self.obey();
+            let descends = self.arming.state() == ArmState::Descent;
+            let mode = if descends { FlightMode::Angle } else { FlightMode::from_frame(frame) };
+            self.controller.set_sticks(&self.sticks, mode);
         }
         self.requests.update(self.arm_by, self.gesture, self.arm_switch, self.link.lost(), dt_us);
-    }
-
-    /// Hands the sticks to the controller: in a descent the throttle may only be lower than that of the descent.
-    fn obey(&mut self) {
-        let descends = self.arming.state() == ArmState::Descent;
-        let limit = if descends { self.descent_throttle } else { 1.0 };
-        let mode = if descends { FlightMode::Angle } else { self.mode };
-        self.controller
-            .set_sticks(&Sticks { throttle: min(self.sticks.throttle, limit), ..self.sticks }, mode);
     }
 
     /// Supply, bench and board.
@@ -237,39 +228,34 @@ impl FlightController {
     #[inline(always)]
     fn conditions(&self, input: &Input, first: bool) -> Conditions {
         let health = &input.health;
-        let still = self.gyro_zero.still() && self.gyro_zero.zeroed();
-        [
+        let always = [
             (Conditions::ARM, self.requests.arm()),
             (Conditions::DISARM, self.requests.disarm(self.arm_by)),
             (Conditions::RC_LOST, self.link.lost()),
             (Conditions::THROTTLE_UP, !self.sticks.throttle_is_low()),
             (Conditions::IMU_LOST, self.imu_age_us > IMU_LOST_US),
             (Conditions::IMU_STUCK, self.imu_check.stuck()),
+            (Conditions::BATTERY_CRITICAL, self.battery.critical()),
+            (Conditions::BENCH_LOCK, health.usb),
+        ];
+        if self.arming.state().flies() {
+            // The other conditions stand in no row of a flight: `Conditions::IN_FLIGHT`.
+            return Conditions::of(always);
+        }
+        let still = self.gyro_zero.still() && self.gyro_zero.zeroed();
+        let on_the_ground = [
             (Conditions::NOT_STILL, !still),
             // So written that a tilt that is not a number is not level.
             (Conditions::NOT_LEVEL, !(self.estimator.down().z >= ARM_COS_TILT)),
             (Conditions::NO_CALIBRATION, !self.calibrated),
             (Conditions::BATTERY_LOW, self.battery.low()),
-            (Conditions::BATTERY_CRITICAL, self.battery.critical()),
             (Conditions::OVERLOAD, self.missed_age_us <= OVERLOAD_US),
-            (Conditions::BENCH_LOCK, health.usb),
             (Conditions::BENCH_COMMAND, self.bench.commanded()),
             (Conditions::BENCH_EXPIRED, self.bench.expired()),
             (Conditions::MAINTENANCE, health.maintenance),
             (Conditions::WATCHDOG_RESET, first && health.watchdog_reset),
-        ]
-        .into_iter()
-        .fold(Conditions::empty(), |all, (condition, holds)| if holds { all | condition } else { all })
-    }
-
-    /// What a change of state changes at once.
-    #[cold]
-    fn enter(&mut self, event: Event) {
-        match (event.to, event.cause) {
-            (ArmState::Descent, Cause::RcLost) => self.controller.set_level(self.descent_throttle),
-            (ArmState::Descent, _) | (ArmState::Armed, _) => self.obey(),
-            _ => {}
-        }
+        ];
+        Conditions::of(always) | Conditions::of(on_the_ground)
     }
 
     /// No motor turns, and nothing is wound up.
@@ -290,14 +276,16 @@ impl FlightController {
             self.saturation,
             dt_s,
         );
-        let thrust_n = self.controller.throttle() * self.mixer.max_thrust_n();
+        let descends = self.arming.state() == ArmState::Descent;
+        let most = if descends { self.descent_throttle } else { 1.0 };
+        let thrust_n = min(self.controller.throttle(), most) * self.mixer.max_thrust_n();
         let (squares, saturation) = self.mixer.mix(&Wrench { thrust_n, torque_n_m });
         self.saturation = saturation;
         self.pulses_us = Mixer::speeds(squares).map(|speed| self.esc.pulse_us(speed));
     }
 
     fn output(&self, event: Option<Event>) -> Output {
-        let bench = self.bench.motor(|share| self.esc.pulse_of_share_us(share));
+        let bench = || self.bench.motor(|share| self.esc.pulse_of_share_us(share));
         Output {
             permit: self.arming.permit(bench),
             pulses_us: self.pulses_us,

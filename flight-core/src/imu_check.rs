@@ -9,14 +9,15 @@ const INVALID: i16 = i16::MIN;
 
 /// How long an axis may read the same, s.
 const IMU_STUCK_S: f32 = 0.1;
-/// And for how many samples, at least.
-const MIN_STUCK_SAMPLES: f32 = 50.0;
+/// And in how many looks, at least.
+const MIN_STUCK_LOOKS: f32 = 50.0;
 
 /// Which sensors are noisy enough that an axis which reads the same for long must be stuck.
 ///
 /// A real chip's noise is about a count or more: the ICM-42688-P's gyroscope has 0.0028 °/s/√Hz, over 258 Hz
-/// 0.045 °/s rms, 0.74 counts. The chance that a sample repeats the last is below 0.6 then, and that 100 do,
-/// below 10⁻²². A simulated sensor without noise may stand still for ever.
+/// 0.045 °/s rms, 0.74 counts. Two samples are equal with a chance of about 0.28 over the noise in counts, 0.4
+/// here, and fifty pairs in succession with 10⁻²⁰; with half a count it is 10⁻¹³. A simulated sensor without noise
+/// may stand still for ever.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct StuckCheck {
     /// The gyroscope.
@@ -29,18 +30,21 @@ pub struct StuckCheck {
 #[derive(Clone, Debug)]
 pub struct ImuCheck {
     check: StuckCheck,
-    /// Samples for which an axis may stand still.
+    /// Looks in which an axis may stand still.
     limit: u16,
+    /// Whether the gyroscope is the next to be looked at: it and the accelerometer take turns.
+    gyro_next: bool,
     last: ImuSample,
-    /// Samples since each axis of gyroscope and accelerometer last moved.
+    /// Looks since each axis of gyroscope and accelerometer last moved.
     still: [[u16; 3]; 2],
+    stuck: bool,
 }
 
 impl ImuCheck {
     /// Before the first of `rate_hz` samples a second.
     pub fn new(check: StuckCheck, rate_hz: f32) -> Self {
-        let limit = max(rate_hz * IMU_STUCK_S, MIN_STUCK_SAMPLES) as u16;
-        Self { check, limit, last: ImuSample::default(), still: [[0; 3]; 2] }
+        let limit = max(0.5 * rate_hz * IMU_STUCK_S, MIN_STUCK_LOOKS) as u16;
+        Self { check, limit, gyro_next: true, last: ImuSample::default(), still: [[0; 3]; 2], stuck: false }
     }
 
     /// Whether the sample is one, and no code for the lack of one.
@@ -52,29 +56,48 @@ impl ImuCheck {
     /// Takes a valid sample.
     #[inline]
     pub fn take(&mut self, sample: &ImuSample) {
-        if self.check.gyro {
-            count(&mut self.still[0], self.last.gyro, sample.gyro);
+        let [gyro, accel] = &mut self.still;
+        let (checked, still, last, now) = if self.gyro_next {
+            (self.check.gyro, gyro, &mut self.last.gyro, sample.gyro)
+        } else {
+            (self.check.accel, accel, &mut self.last.accel, sample.accel)
+        };
+        self.gyro_next = !self.gyro_next;
+        if !checked {
+            return;
         }
-        if self.check.accel {
-            count(&mut self.still[1], self.last.accel, sample.accel);
+        let longest = count(still, *last, now);
+        *last = now;
+        // Until the stuck sensor's next turn the verdict stands.
+        if longest >= self.limit || self.stuck {
+            self.stuck = self.stuck_within_range();
         }
-        self.last = *sample;
+    }
+
+    /// At the end of its range an axis is not stuck: the vehicle does more than the sensor can say.
+    #[cold]
+    fn stuck_within_range(&self) -> bool {
+        let counts = self.last.gyro.iter().chain(&self.last.accel);
+        let mut axes = self.still.as_flattened().iter().zip(counts);
+        axes.any(|(&still, &counts)| still >= self.limit && counts != i16::MAX && counts != i16::MIN)
     }
 
     /// Whether an axis has stood still for too long.
-    #[inline]
+    #[inline(always)]
     pub fn stuck(&self) -> bool {
-        self.still.as_flattened().iter().fold(false, |stuck, &samples| stuck | (samples >= self.limit))
+        self.stuck
     }
 }
 
+/// Counts each axis's samples since it last moved; the largest of the three.
 #[inline(always)]
-fn count(still: &mut [u16; 3], last: [i16; 3], now: [i16; 3]) {
-    for axis in 0..3 {
-        // At the end of its range an axis is not stuck: the vehicle does more than the sensor can say.
-        let moves = last[axis] != now[axis] || now[axis] == i16::MAX || now[axis] == i16::MIN;
-        still[axis] = if moves { 0 } else { still[axis].saturating_add(1) };
+fn count(still: &mut [u16; 3], last: [i16; 3], now: [i16; 3]) -> u16 {
+    let mut longest = 0;
+    for ((still, last), now) in still.iter_mut().zip(last).zip(now) {
+        *still = if last == now { still.saturating_add(1) } else { 0 };
+        longest = longest.max(*still);
     }
+    longest
 }
 
 #[cfg(test)]
@@ -100,17 +123,20 @@ mod tests {
                 check.take(&stick(moving(step)));
                 assert!(!check.stuck(), "axis {axis}, step {step}");
             }
+            // Each sensor is looked at in every other sample.
             check.take(&stick(moving(100)));
+            check.take(&stick(moving(101)));
             assert!(check.stuck(), "axis {axis}");
-            check.take(&moving(101));
+            check.take(&moving(102));
+            check.take(&moving(103));
             assert!(!check.stuck(), "axis {axis} moves again");
         }
     }
 
     #[test]
-    fn a_slow_sensor_is_given_fifty_samples() {
+    fn a_slow_sensor_is_given_fifty_looks() {
         let mut check = ImuCheck::new(BOTH, 100.0);
-        for _ in 0..50 {
+        for _ in 0..100 {
             check.take(&moving(2));
             assert!(!check.stuck());
         }

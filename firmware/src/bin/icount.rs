@@ -29,6 +29,7 @@ use flight_core::geometry::Vec3;
 use flight_core::mixer::{Mixer, Saturation, Wrench};
 use flight_core::prefilter::{Biquad, Prefilter};
 use flight_core::rc::{FlightMode, Sticks};
+use flight_core::sample::RcFrame;
 use flight_core::{ConfigError, FlightController, Input, Output, Params};
 use panic_semihosting as _;
 use stm32f4xx_hal::pac::{Peripherals, TIM2};
@@ -193,6 +194,11 @@ fn control(controller: &mut Controller, (estimator, r): &(Estimator, Reading)) -
 }
 
 #[inline(never)]
+fn sticks(controller: &mut Controller, frame: &RcFrame) {
+    controller.set_sticks(&Sticks::from_frame(frame), FlightMode::from_frame(frame));
+}
+
+#[inline(never)]
 fn mix(mixer: &Mixer, esc: &Esc, wrench: &Wrench) -> [f32; 4] {
     let (squares, _) = mixer.mix(wrench);
     Mixer::speeds(squares).map(|speed| esc.pulse_us(speed))
@@ -230,6 +236,7 @@ fn stages(gauge: &mut Gauge) -> Result<(), ConfigError> {
 
     let mut controller = Controller::new(&params.control, params.airframe.inertia_kg_m2)?;
     controller.set_sticks(&Sticks { throttle: 0.5, roll: 0.2, pitch: -0.1, yaw: 0.0 }, FlightMode::Angle);
+    gauge.stage("sticks", INPUTS.map(fixed_input::sticks), |frame| sticks(&mut controller, frame));
     let mut front = Front::new(&params)?;
     let mut estimator = Estimator::new(&params.estimator)?;
     let states = INPUTS.map(|slot| {

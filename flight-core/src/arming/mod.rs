@@ -220,12 +220,14 @@ pub struct Arming {
     /// The pilot has not stopped asking since the last answer: what goes on is no new request. True at the
     /// start, so that an arm switch that is on at power-up arms nothing.
     answered: bool,
+    /// What held in the last step, if no row of the state fitted.
+    undecided: Option<Conditions>,
 }
 
 impl Arming {
     /// Disarmed; a descent without a link takes `descent_us`, then the motors stop.
     pub fn new(descent_us: u32) -> Self {
-        Self { state: ArmState::Disarmed, in_state_us: 0, descent_us, answered: true }
+        Self { state: ArmState::Disarmed, in_state_us: 0, descent_us, answered: true, undecided: None }
     }
 
     /// The present state.
@@ -235,19 +237,19 @@ impl Arming {
     }
 
     /// A permit for this step, if a motor may turn. `bench` is the motor of the bench command in force, if any.
-    #[inline]
-    pub fn permit(&self, bench: Option<BenchMotor>) -> Option<MotorPermit> {
-        match (self.state, bench) {
-            (ArmState::Armed | ArmState::Descent, _) => Some(MotorPermit(Allowed::Flight)),
-            (ArmState::Bench, Some(BenchMotor { rotor, limit_us })) => {
-                Some(MotorPermit(Allowed::Bench { rotor, limit_us }))
+    #[inline(always)]
+    pub fn permit(&self, bench: impl FnOnce() -> Option<BenchMotor>) -> Option<MotorPermit> {
+        match self.state {
+            ArmState::Armed | ArmState::Descent => Some(MotorPermit(Allowed::Flight)),
+            ArmState::Bench => {
+                bench().map(|BenchMotor { rotor, limit_us }| MotorPermit(Allowed::Bench { rotor, limit_us }))
             }
             _ => None,
         }
     }
 
     /// Decides for a step that comes `dt_us` after the last.
-    #[inline]
+    #[inline(always)]
     pub fn update(&mut self, mut now: Conditions, dt_us: u32) -> Option<Event> {
         self.in_state_us = self.in_state_us.saturating_add(dt_us);
         let allowed_us = match self.state {
@@ -263,7 +265,15 @@ impl Arming {
         } else if self.answered {
             now.remove(Conditions::ARM);
         }
-        let row = decide(rows(self.state), now)?;
+        // The table has no memory: what decided nothing in the last step decides nothing in this one.
+        if self.undecided == Some(now) {
+            return None;
+        }
+        let Some(row) = decide(rows(self.state), now) else {
+            self.undecided = Some(now);
+            return None;
+        };
+        self.undecided = None;
         if row.when.contains(Conditions::ARM) {
             self.answered = true;
         }

@@ -49,6 +49,27 @@ bitflags! {
     }
 }
 
+impl Conditions {
+    /// Those that stand in the rows of [`ArmState::Armed`] and [`ArmState::Descent`].
+    pub const IN_FLIGHT: Self = Self::DISARM
+        .union(Self::RC_LOST)
+        .union(Self::THROTTLE_UP)
+        .union(Self::IMU_LOST)
+        .union(Self::IMU_STUCK)
+        .union(Self::BATTERY_CRITICAL)
+        .union(Self::BENCH_LOCK)
+        .union(Self::TIME_UP);
+
+    /// Those that hold.
+    #[inline(always)]
+    pub(crate) fn of<const N: usize>(list: [(Self, bool); N]) -> Self {
+        // Without a branch: the condition times one or zero.
+        let bits =
+            list.into_iter().fold(0, |all, (condition, holds)| all | condition.bits() * u32::from(holds));
+        Self::from_bits_retain(bits)
+    }
+}
+
 /// A row: in state `from`, if all of `when` hold and none of `unless`, go to `to`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Row {
