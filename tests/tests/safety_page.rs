@@ -16,7 +16,9 @@ fn meanings() -> Vec<(String, String)> {
     for line in source.lines().map(str::trim) {
         if let Some(text) = line.strip_prefix("/// ") {
             comment = [comment.as_str(), text].join(" ").trim().to_owned();
-        } else if let Some((name, _)) = line.strip_prefix("const ").and_then(|rest| rest.split_once(" = 1 <<")) {
+        } else if let Some((name, _)) =
+            line.strip_prefix("const ").and_then(|rest| rest.split_once(" = 1 <<"))
+        {
             found.push((name.to_owned(), std::mem::take(&mut comment)));
         } else {
             comment.clear();
@@ -43,7 +45,8 @@ fn table() -> String {
     for Row { from, when, unless, to, cause } in ArmState::ALL.into_iter().flat_map(rows) {
         let to = if from == to { "stay: refused".to_owned() } else { format!("`{}`", to.name()) };
         let from = from.name();
-        writeln!(text, "| `{from}` | {} | {} | {to} | {} |", names(*when), names(*unless), cause.text()).unwrap();
+        writeln!(text, "| `{from}` | {} | {} | {to} | {} |", names(*when), names(*unless), cause.text())
+            .unwrap();
     }
     text
 }
