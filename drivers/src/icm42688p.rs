@@ -120,8 +120,8 @@ const BOTH_LOW_NOISE: u8 = 0x0f;
 /// The set-up counts the samples of this many looks, 100 µs apart, ...
 const RATE_LOOKS: u32 = 200;
 const RATE_LOOK_US: u32 = 100;
-/// ... which must be 20, but for the time that the looks themselves take and the chip's clock, 1 % at 25 °C
-/// (table 4). The next rates that the chip has are half and twice this one.
+/// ... which must be 20, but for the time that the looks themselves take and for the chip's own clock. The
+/// next rates that the chip has are half and twice this one.
 const RATE_SAMPLES: core::ops::RangeInclusive<u32> = 16..=24;
 
 /// Bytes of a burst: the address, twelve of data, two of a time that is not used, INT_STATUS.
@@ -142,7 +142,7 @@ const STATUS_AT: usize = 1 + (INT_STATUS.address - ACCEL_DATA_X1.address) as usi
 const _: () = assert!(STATUS_AT == FRAME_LEN - 1);
 
 /// The smallest count that is a measurement. −32,768 is what the registers hold until the first sample, and
-/// −32,767 marks invalid data too: a saturated axis ends at −32,766 (INTF_CONFIG0, FIFO_HOLD_LAST_DATA_EN).
+/// −32,767 marks invalid data too: a saturated axis ends at −32,766 (INTF_CONFIG0, FIFO_HOLD_LAST_DATA_EN clear).
 const LOWEST_VALID: i16 = -32_766;
 
 /// Why the sensor could not be set up.

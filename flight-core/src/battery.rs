@@ -45,10 +45,11 @@ impl BatteryWatch {
         self.age_us <= STALE_US && self.voltage_v < self.critical_v
     }
 
-    /// Too low to start with, or unknown. (So written that NaN is low.)
+    /// Too low to start with, or unknown; a voltage that is not a number is not enough.
     #[inline(always)]
     pub fn low(&self) -> bool {
-        !(self.voltage_v >= self.min_arm_v && self.age_us <= STALE_US)
+        let enough = self.voltage_v >= self.min_arm_v && self.age_us <= STALE_US;
+        !enough
     }
 
     /// Too low to fly on, since 3 s ago; then until the flight is over.

@@ -243,10 +243,11 @@ impl FlightController {
             return Conditions::of(always);
         }
         let still = self.gyro_zero.still() && self.gyro_zero.zeroed();
+        // A tilt that is not a number is not level.
+        let level = self.estimator.down().z >= ARM_COS_TILT;
         let on_the_ground = [
             (Conditions::NOT_STILL, !still),
-            // So written that a tilt that is not a number is not level.
-            (Conditions::NOT_LEVEL, !(self.estimator.down().z >= ARM_COS_TILT)),
+            (Conditions::NOT_LEVEL, !level),
             (Conditions::NO_CALIBRATION, !self.calibrated),
             (Conditions::BATTERY_LOW, self.battery.low()),
             (Conditions::OVERLOAD, self.missed_age_us <= OVERLOAD_US),

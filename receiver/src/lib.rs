@@ -45,6 +45,9 @@
 mod crsf;
 mod sbus;
 
+use flight_core::rc::ChannelMap;
+use flight_core::sample::{LinkStatus, RcFrame};
+
 /// A pause of this length separates two frames, µs: see the crate's description.
 pub const GAP_US: u64 = 2_000;
 
@@ -107,6 +110,18 @@ impl Frame {
     /// Whether the channels are what the pilot does now.
     pub fn is_live(&self) -> bool {
         !self.failsafe && !self.frame_lost
+    }
+
+    /// The frame for the flight controller, with the channels where the pilot has them.
+    pub fn to_rc(&self, channels: &ChannelMap) -> RcFrame {
+        let status = if self.failsafe {
+            LinkStatus::Failsafe
+        } else if self.frame_lost {
+            LinkStatus::FrameLost
+        } else {
+            LinkStatus::Good
+        };
+        channels.frame(&self.channels, status)
     }
 }
 

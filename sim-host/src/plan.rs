@@ -98,12 +98,8 @@ pub fn measure(scene: &Scene) -> Vec<Cost> {
             ImuEffect::Sampling(mut jitter) => note(
                 name,
                 cost(|k, with| {
-                    let at = moment(k);
-                    black_box(if with {
-                        jitter.displaced(&at)
-                    } else {
-                        (*at.state, at.specific_force, at.time_s)
-                    });
+                    let (at, mut state) = (moment(k), IN_FLIGHT);
+                    black_box(if with { jitter.displaced(&at, &mut state) } else { at });
                 }),
             ),
             ImuEffect::Delivery(mut effect) => {
@@ -135,7 +131,7 @@ fn readings(sensor: &mut Sensor, share: f64) -> impl Iterator<Item = Cost> {
         let ns = cost(|k, with| {
             let (mut reading, at) = (black_box(vec3(0.1, 0.2, -9.0)), moment(k));
             if with {
-                reading = effect.apply(reading, &at);
+                effect.apply_to(&mut reading, &at);
             }
             black_box((reading, at.time_s));
         });

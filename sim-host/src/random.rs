@@ -22,6 +22,8 @@ const AREA: f64 = 4.928_673_233_974_655e-3;
 /// Edges x\[i\] of the layers, falling from the base to 0, and exp(−x²/2) there.
 struct Ziggurat {
     x: [f64; LAYERS + 1],
+    /// x · 2⁻⁵²: what one of 2⁵² steps across the layer is worth.
+    per_step: [f64; LAYERS],
     density: [f64; LAYERS + 1],
 }
 
@@ -38,7 +40,8 @@ impl Ziggurat {
         for i in 2..LAYERS {
             x[i] = libm::sqrt(-2.0 * libm::log(AREA / x[i - 1] + density(x[i - 1])));
         }
-        Self { x, density: x.map(density) }
+        let per_step = std::array::from_fn(|i| x[i] * (1.0 / (1_u64 << 52) as f64));
+        Self { x, per_step, density: x.map(density) }
     }
 
     fn get() -> &'static Self {
@@ -95,9 +98,8 @@ impl NormalStream {
         loop {
             let bits = self.generator.next_u64();
             let layer = (bits & 0xFF) as usize;
-            // The 53 high bits as a uniform in [−1, 1); the layer comes from others.
-            let u = ((bits as i64) >> 11) as f64 * (1.0 / (1_u64 << 52) as f64);
-            let x = u * self.ziggurat.x[layer];
+            // The 53 high bits as a uniform in [−2⁵², 2⁵²); the layer comes from others.
+            let x = ((bits as i64) >> 11) as f64 * self.ziggurat.per_step[layer];
             if x.abs() < self.ziggurat.x[layer + 1] {
                 return x;
             }

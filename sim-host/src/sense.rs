@@ -16,6 +16,8 @@ struct Sampler<'a> {
     sensors: Sensors,
     /// Samples of gyroscope and accelerometer to one of the magnetometer.
     mag_every: u64,
+    /// Samples until the next one of the magnetometer.
+    until_mag: u64,
     samples: u64,
     out: Option<&'a mut LogWriter>,
     failed: Option<InputError>,
@@ -28,6 +30,7 @@ impl<'a> Sampler<'a> {
         Self {
             sensors: scene.sensors(seed, rate_hz, rate_hz / mag_every as f64),
             mag_every,
+            until_mag: 0,
             samples: 0,
             out,
             failed: None,
@@ -38,7 +41,12 @@ impl<'a> Sampler<'a> {
     #[inline(always)]
     fn sample(&mut self, at: &Moment, moving: bool) {
         let imu = self.sensors.imu(at);
-        let mag = if self.samples.is_multiple_of(self.mag_every) { self.sensors.mag(at) } else { None };
+        let mut mag = None;
+        if self.until_mag == 0 {
+            self.until_mag = self.mag_every;
+            mag = self.sensors.mag(at);
+        }
+        self.until_mag -= 1;
         self.samples += 1;
         let Some(out) = &mut self.out else {
             // The throughput figure must not be that of a loop that was optimised away.

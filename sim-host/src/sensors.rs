@@ -6,6 +6,7 @@
 
 use flight_core::geometry::{Vec3, vec3};
 use flight_core::sample::{ImuSample, MagSample};
+use wide::f64x4;
 
 use crate::effects::delivery::{BoxedDelivery, Jitter};
 use crate::effects::{BoxedSensorEffect, Moment, OPTIONAL};
@@ -13,18 +14,33 @@ use crate::effects::{BoxedSensorEffect, Moment, OPTIONAL};
 /// A chip's 16-bit converter.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Converter {
-    /// SI units (magnetometer: µT) per count.
-    pub per_count: f64,
+    per_count: f64,
+    /// Its reciprocal: a division at every sample would cost more than the rest.
+    counts_per_unit: f64,
 }
 
 impl Converter {
-    /// Nearest count, the ends of the range included.
+    /// A converter with so many SI units (magnetometer: µT) per count.
+    pub fn new(per_count: f64) -> Self {
+        Self { per_count, counts_per_unit: 1.0 / per_count }
+    }
+
+    /// SI units (magnetometer: µT) per count.
+    pub fn per_count(&self) -> f64 {
+        self.per_count
+    }
+
+    /// Nearest counts, the ends of the range included. The axes stand side by side in a vector, which a
+    /// compiler does not make of them by itself.
     #[inline(always)]
-    fn convert(&self, reading: f64) -> i16 {
-        // Adding and taking away 1.5 · 2⁵² rounds to the nearest integer, halves to even.
-        const ROUNDER: f64 = 6_755_399_441_055_744.0;
-        let counts = (reading / self.per_count).clamp(-32768.0, 32767.0);
-        ((counts + ROUNDER) - ROUNDER) as i16
+    fn convert(&self, Vec3 { x, y, z }: Vec3<f64>) -> [i16; 3] {
+        const LOWEST: f64x4 = f64x4::splat(-32768.0);
+        const HIGHEST: f64x4 = f64x4::splat(32767.0);
+        // Adding 1.5 · 2⁵² rounds to the nearest integer, halves to even, and leaves it in the lowest bits.
+        const ROUNDER: f64x4 = f64x4::splat(6_755_399_441_055_744.0);
+        let counts = f64x4::new([x, y, z, 0.0]) * f64x4::splat(self.counts_per_unit);
+        let [x, y, z, _] = (counts.fast_max(LOWEST).fast_min(HIGHEST) + ROUNDER).to_array();
+        [x, y, z].map(|counts| counts.to_bits() as i16)
     }
 }
 
@@ -61,18 +77,13 @@ impl Sensor {
     #[inline(always)]
     pub fn sample(&mut self, truth: Vec3<f64>, at: &Moment) -> [i16; 3] {
         let reading = self.measure(truth, at);
-        self.convert(reading)
-    }
-
-    #[inline(always)]
-    fn convert(&self, Vec3 { x, y, z }: Vec3<f64>) -> [i16; 3] {
-        [self.converter.convert(x), self.converter.convert(y), self.converter.convert(z)]
+        self.converter.convert(reading)
     }
 
     /// What counts mean by the datasheet, in SI (magnetometer: µT).
     pub fn nominal(&self, counts: [i16; 3]) -> Vec3<f64> {
         let [x, y, z] = counts.map(f64::from);
-        vec3(x, y, z) * self.converter.per_count
+        vec3(x, y, z) * self.converter.per_count()
     }
 }
 
@@ -106,7 +117,10 @@ impl Sensors {
     /// The sample of these true values, rad/s and m/s², but for the converters.
     #[inline(always)]
     pub fn perfect_imu(&self, rates: Vec3<f64>, specific_force: Vec3<f64>) -> ImuSample {
-        ImuSample { gyro: self.gyro.convert(rates), accel: self.accel.convert(specific_force) }
+        ImuSample {
+            gyro: self.gyro.converter.convert(rates),
+            accel: self.accel.converter.convert(specific_force),
+        }
     }
 
     /// What arrives of gyroscope and accelerometer. Called once a step.
@@ -150,8 +164,9 @@ impl Sensors {
         let sample = match &mut self.jitter {
             None => self.imu_at(at),
             Some(jitter) => {
-                let (state, specific_force, time_s) = jitter.displaced(at);
-                self.imu_at(&Moment { time_s, state: &state, specific_force, ..*at })
+                let mut state = *at.state;
+                let at = jitter.displaced(at, &mut state);
+                self.imu_at(&at)
             }
         };
         *arrived = Some(sample);
@@ -173,11 +188,9 @@ mod tests {
     use super::*;
     use crate::effects::sensor::testing::at_rest;
 
-    const GYRO: Converter = Converter { per_count: 1e-3 };
-
     #[test]
     fn without_effects_only_the_converter_acts() {
-        let mut sensor = Sensor::new(vec![], GYRO);
+        let mut sensor = Sensor::new(vec![], Converter::new(1e-3));
         let truth = vec3(0.123_456, -1.0, 40.0);
         at_rest(|at| {
             assert_eq!(sensor.measure(truth, at), truth);

@@ -260,3 +260,45 @@ fn a_magnetic_object_turns_the_heading_while_it_passes() {
     println!("{plain:?}\n{outcome:?}");
     assert!(outcome.heading_rmse_deg > plain.heading_rmse_deg + 2.0, "{outcome:?}");
 }
+
+#[test]
+fn a_sensor_that_fails_in_flight_stops_the_motors_by_name() {
+    let fails = |fault: &str| {
+        let (outcome, arrivals) = hover_with(&format!("[[fault]]\nat_s = 15.0\n{fault}"));
+        assert!(
+            matches!(outcome.crash, Some((Crash::HardTouchDown | Crash::TiltedTouchDown, _))),
+            "{outcome:?}"
+        );
+        assert_eq!(outcome.final_state, ArmState::Terminated);
+        after_arming(&arrivals)[0]
+    };
+    // The code for "invalid" is no sample: as if the sensor were dead.
+    let (time_s, state, cause) = fails("kind = \"invalid_code\"\nsensor = \"imu\"\n");
+    assert_eq!((state, cause), (ArmState::Terminated, Cause::ImuLost));
+    assert!((time_s - 15.1).abs() < 1.5e-3, "{time_s}");
+    // Each axis by itself. Two samples more than a tenth of a second: each sensor is looked at in every other one.
+    for sensor in ["gyro", "accel"] {
+        for axis in ["x", "y", "z"] {
+            let fault = format!("kind = \"stuck_axis\"\nsensor = \"{sensor}\"\naxis = \"{axis}\"\n");
+            let (time_s, state, cause) = fails(&fault);
+            assert_eq!((state, cause), (ArmState::Terminated, Cause::ImuStuck), "{sensor} {axis}");
+            assert!((time_s - 15.1).abs() < 3e-3, "{sensor} {axis}: {time_s}");
+        }
+    }
+    // Repeated samples are one that is stuck on all axes.
+    let (_, state, cause) = fails("kind = \"repeated_sample\"\nsensor = \"imu\"\n");
+    assert_eq!((state, cause), (ArmState::Terminated, Cause::ImuStuck));
+}
+
+#[test]
+fn no_good_sensor_is_taken_for_a_stuck_one() {
+    for scene in sim_host::scene::BUILT_IN.iter().filter(|scene| scene.name != "bench-static") {
+        let scene = Scene::load(scene.name).unwrap();
+        for seed in 0..5 {
+            let mut arrivals = Arrivals::default();
+            Flight::new(&scene, seed).run(&mut arrivals);
+            let stuck = arrivals.events.iter().find(|(_, event)| event.cause == Cause::ImuStuck);
+            assert_eq!(stuck, None, "{}, seed {seed}", scene.name);
+        }
+    }
+}

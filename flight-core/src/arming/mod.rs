@@ -217,8 +217,8 @@ pub struct Arming {
     state: ArmState,
     in_state_us: u32,
     descent_us: u32,
-    /// The pilot has not stopped asking since the last answer: what goes on is no new request. True at the
-    /// start, so that an arm switch that is on at power-up arms nothing.
+    /// The pilot has not stopped asking since the last answer: what goes on is no new request. True at the start:
+    /// so is what began before it.
     answered: bool,
     /// What held in the last step, if no row of the state fitted.
     undecided: Option<Conditions>,

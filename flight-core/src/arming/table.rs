@@ -65,7 +65,7 @@ impl Conditions {
     pub(crate) fn of<const N: usize>(list: [(Self, bool); N]) -> Self {
         // Without a branch: the condition times one or zero.
         let bits =
-            list.into_iter().fold(0, |all, (condition, holds)| all | condition.bits() * u32::from(holds));
+            list.into_iter().fold(0, |all, (condition, holds)| all | (condition.bits() * u32::from(holds)));
         Self::from_bits_retain(bits)
     }
 }

@@ -221,7 +221,7 @@ fn a_refusal_is_said_once_and_the_pilot_must_let_go_before_the_next_try() {
 }
 
 #[test]
-fn an_arm_switch_that_is_on_at_power_up_arms_nothing() {
+fn what_is_asked_from_the_start_is_no_request() {
     let mut arming = super::Arming::new(1);
     assert!(run(&mut arming, C::ARM, 10_000).is_empty());
 }

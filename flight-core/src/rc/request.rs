@@ -29,6 +29,9 @@ pub enum ArmBy {
 pub struct Requests {
     asked: Asked,
     held_us: u32,
+    /// The arm switch has been seen off since the link is there. One that is on when the transmitter comes on, or
+    /// the board, arms nothing.
+    seen_off: bool,
 }
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -43,6 +46,7 @@ impl Requests {
     /// Takes the last frame's gesture and arm switch for a step that comes `dt_us` after the last.
     #[inline]
     pub fn update(&mut self, by: ArmBy, gesture: Gesture, arm_switch: u16, link_lost: bool, dt_us: u32) {
+        self.seen_off = !link_lost && (self.seen_off || arm_switch <= SWITCH_ON_TICKS);
         let asked = match by {
             // What a lost link last said is no request.
             _ if link_lost => Asked::Nothing,
@@ -51,7 +55,7 @@ impl Requests {
                 Gesture::Arm => Asked::Arm,
                 Gesture::Disarm => Asked::Disarm,
             },
-            ArmBy::Switch if arm_switch > SWITCH_ON_TICKS => Asked::Arm,
+            ArmBy::Switch if arm_switch > SWITCH_ON_TICKS && self.seen_off => Asked::Arm,
             ArmBy::Switch if arm_switch < SWITCH_OFF_TICKS => Asked::Disarm,
             ArmBy::Switch => Asked::Nothing,
         };
@@ -106,7 +110,10 @@ mod tests {
             }
             (requests.arm(), requests.disarm(ArmBy::Switch))
         };
-        assert_eq!(hold(HIGH_TICKS, 1_001), (true, false));
+        assert_eq!(hold(HIGH_TICKS, 2_000), (false, false), "on from the start");
+        assert_eq!(hold(CENTRE_TICKS, 1), (false, false));
+        assert_eq!(hold(HIGH_TICKS, 1_000), (false, false));
+        assert_eq!(hold(HIGH_TICKS, 1), (true, false));
         assert_eq!(hold(CENTRE_TICKS, 2_000), (false, false));
         assert_eq!(hold(LOW_TICKS, 100), (false, false));
         assert_eq!(hold(LOW_TICKS, 1), (false, true));

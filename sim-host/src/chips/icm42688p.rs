@@ -15,7 +15,7 @@
 //! | start (tables 1, 2) | the accelerometer's first data 10 ms after it is on, the gyroscope's after 30 ms |
 //! | rate (5.6) | that of the faster sensor |
 //! | DATA_RDY_INT (14.21) | set by a sample, cleared by reading INT_STATUS |
-//! | what must not be done | a write within 200 µs after a change of mode; gyroscope off within 45 ms (14.36); other settings than modes, rates and ranges while a sensor is on (12.9) |
+//! | what must not be done | a write within 200 µs after a change of mode; gyroscope off within 45 ms (14.36); other settings than modes, rates and ranges while a sensor is on (12) |
 //!
 //! The datasheet is silent on these, and so:
 //! - A sample that lands during a burst changes the registers that are still to be read, byte by byte.

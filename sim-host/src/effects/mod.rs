@@ -83,15 +83,15 @@ pub struct Moment<'a> {
 }
 
 /// An error of a three-axis sensor: takes a reading in the sensor's SI unit (magnetometer: µT), body axes,
-/// and gives back what the sensor makes of it.
+/// and makes of it what the sensor does.
 pub trait SensorEffect: Send {
-    /// Applies the error to one sample.
-    fn apply(&mut self, reading: Vec3<f64>, at: &Moment) -> Vec3<f64>;
+    /// Applies the error to one sample. In place: the chain of effects copies no reading.
+    fn apply_to(&mut self, reading: &mut Vec3<f64>, at: &Moment);
 
-    /// The same in place. A chain of effects calls this one: its dispatch then costs no copy of the reading.
-    #[inline]
-    fn apply_to(&mut self, reading: &mut Vec3<f64>, at: &Moment) {
-        *reading = self.apply(*reading, at);
+    /// The same by value.
+    fn apply(&mut self, mut reading: Vec3<f64>, at: &Moment) -> Vec3<f64> {
+        self.apply_to(&mut reading, at);
+        reading
     }
 }
 

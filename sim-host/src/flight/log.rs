@@ -40,7 +40,7 @@ impl FlightLog {
     /// A place that can't be written to.
     pub fn create(path: impl AsRef<Path>, scene: &Scene) -> Result<Self, InputError> {
         let writer = LogWriter::create_with(path, &FURTHER)?;
-        Ok(Self { writer, per_count: scene.converters.map(|c| c.per_count), failed: None })
+        Ok(Self { writer, per_count: scene.converters.map(|c| c.per_count()), failed: None })
     }
 
     /// Completes the file.

@@ -214,7 +214,7 @@ impl Effects {
     pub fn stuck_check(&self, converters: &[Converter; 3]) -> StuckCheck {
         let [gyro, accel, _] = converters;
         let noisy = |density: [f64; 3], converter: &Converter| {
-            let least = 0.5 * converter.per_count / f64::from(DEFAULT_RATE_HZ).sqrt();
+            let least = 0.5 * converter.per_count() / f64::from(DEFAULT_RATE_HZ).sqrt();
             density.iter().all(|n| *n >= least)
         };
         let Self { gyro: of_gyro, accel: of_accel, .. } = self;

@@ -74,6 +74,13 @@ pub fn named(faults: &[Fault]) -> Vec<(&'static str, bool)> {
     NAMES.iter().map(|(kind, name)| (*name, faults.iter().any(|fault| fault.kind == *kind))).collect()
 }
 
+/// Leaves out every fault of a kind; whether there was one.
+pub fn leave_out(faults: &mut Vec<Fault>, name: &str) -> bool {
+    let named = faults.len();
+    faults.retain(|fault| fault.name() != name);
+    faults.len() < named
+}
+
 /// What befalls the inertial samples, in the order of the file, at this many steps a second.
 pub fn on_imu(faults: &[Fault], rate_hz: f64) -> Vec<Named<BoxedDelivery<ImuSample>>> {
     let invalid = ImuSample { gyro: [i16::MIN; 3], accel: [i16::MIN; 3] };
@@ -161,6 +168,19 @@ mod tests {
         let scene = Scene::parse("broken", &text).unwrap();
         assert_eq!(scene.effects(), ["fault.dead"]);
         assert!(scene.left_out().contains(&"fault.spike"));
+    }
+
+    #[test]
+    fn every_fault_of_a_kind_is_left_out_at_once_and_no_other() {
+        let fault = |kind: &str, at_s: f64| {
+            format!("[[fault]]\nkind = \"{kind}\"\nsensor = \"imu\"\nat_s = {at_s}\nfor_s = 0.1\n")
+        };
+        let faults =
+            [("dead", 0.1), ("invalid_code", 0.3), ("dead", 0.5)].map(|(kind, at_s)| fault(kind, at_s));
+        let scene = Scene::parse("broken", &format!("{BARE}{}", faults.concat())).unwrap();
+        assert_eq!(scene.effects(), ["fault.invalid_code", "fault.dead"]);
+        assert_eq!(scene.without("fault.dead").unwrap().effects(), ["fault.invalid_code"]);
+        assert!(scene.without("fault.spike").is_none());
     }
 
     #[test]

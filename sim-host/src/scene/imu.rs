@@ -106,9 +106,9 @@ impl ImuPreset {
     /// Gyroscope (rad/s), accelerometer (m/s²), magnetometer (µT; 1 G is 100 µT).
     pub fn converters(&self) -> [Converter; 3] {
         [
-            Converter { per_count: std::f64::consts::PI / 180.0 / self.gyro.lsb_per_deg_s },
-            Converter { per_count: crate::vehicle::GRAVITY / self.accel.lsb_per_g },
-            Converter { per_count: 100.0 / self.mag.lsb_per_gauss },
+            Converter::new(std::f64::consts::PI / 180.0 / self.gyro.lsb_per_deg_s),
+            Converter::new(crate::vehicle::GRAVITY / self.accel.lsb_per_g),
+            Converter::new(100.0 / self.mag.lsb_per_gauss),
         ]
     }
 }

@@ -235,10 +235,10 @@ impl Scene {
         self.named().filter_map(|(name, named)| named.then_some(name)).collect()
     }
 
-    /// The same scene without one of its effects; `None` if it does not name it.
+    /// The same scene without one of its effects, or without all faults of a kind; `None` if it names none.
     pub fn without(&self, effect: &str) -> Option<Self> {
         let mut scene = self.clone();
-        if !scene.effects.leave_out(effect) {
+        if !(scene.effects.leave_out(effect) | faults::leave_out(&mut scene.faults, effect)) {
             return None;
         }
         scene.config.params.stuck_check = scene.effects.stuck_check(&scene.converters);
@@ -391,7 +391,7 @@ impl file::Flight {
             }
         };
         let along_body =
-            |c: Converter| Sensitivity { per_count: c.per_count as f32, mounting: Mat3::IDENTITY };
+            |c: Converter| Sensitivity { per_count: c.per_count() as f32, mounting: Mat3::IDENTITY };
         let [gyro, accel, mag] = preset.converters().map(along_body);
         let params = Params {
             imu_rate_hz: DEFAULT_RATE_HZ as f32,

@@ -98,7 +98,7 @@ fn presets_are_what_their_datasheets_say() {
         ("adis16448", 1.0 / 0.04, 1.0 / 0.000_833, Some(0.66), Some(0.11 / 60.0)),
     ] {
         let scene = Scene::parse("preset", &BARE.replace("\"paper\"", &format!("\"{preset}\""))).unwrap();
-        let [rate, force, _] = scene.converters.map(|converter| converter.per_count);
+        let [rate, force, _] = scene.converters.map(|converter| converter.per_count());
         // Datasheets give three or four digits.
         assert!((rate * lsb_per_deg_s / 1_f64.to_radians() - 1.0).abs() < 2e-3, "{preset}");
         assert!((force * lsb_per_g / GRAVITY - 1.0).abs() < 2e-3, "{preset}");

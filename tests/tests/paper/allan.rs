@@ -163,7 +163,7 @@ impl Observer for Bench {
 #[test]
 fn static_reads_back_table_2() {
     let (scene, seed) = on_the_bench(2000.0);
-    let [gyro, accel, _] = scene.converters.map(|c| c.per_count);
+    let [gyro, accel, _] = scene.converters.map(|c| c.per_count());
     let mut bench = Bench {
         per_count: [gyro.to_degrees(), accel],
         spreads: [[Spread::default(); 3]; 2],

@@ -278,7 +278,7 @@ impl Observer for Beside {
 fn doublets_of_steps_mislead_paper_by_22_degrees_and_flight_by_2() {
     let scene = altered("steps", &[]);
     let filter = |params| Estimator::new(&params).unwrap_or_else(|error| panic!("{error}"));
-    let [gyro, accel, _] = scene.converters.map(|c| c.per_count as f32);
+    let [gyro, accel, _] = scene.converters.map(|c| c.per_count() as f32);
     let mut beside = Beside {
         rate_per_count: gyro,
         force_per_count: accel,

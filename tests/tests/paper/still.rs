@@ -29,7 +29,7 @@ fn with(name: &str, seed: u64, rate_hz: f64) -> Build<'_> {
 pub fn white_noise(n: f64, rate_hz: f64, seed: u64, name: &'static str) -> Sensor {
     let recipe = AccelWhiteNoise { n_m_s2_per_sqrt_hz: [n; 3] };
     let noise = recipe.build(&with(name, seed, rate_hz));
-    Sensor::new(vec![(name, noise)], Converter { per_count: 1.0 })
+    Sensor::new(vec![(name, noise)], Converter::new(1.0))
 }
 
 /// An effect on OS4, for steps of 1 ms.

@@ -1,6 +1,8 @@
-//! Latency: what comes at t goes on at t + τ, in the same order. τ is rounded to whole steps (1 ms in flight).
+//! Latency: what comes at t goes on at t + τ, in the same order.
+//!
+//! τ is rounded to whole steps of the stream: in flight 1 ms for the inertial samples and the link, and for
+//! the magnetometer, whose stream has a step for each of its samples, 10 ms.
 
-use std::collections::VecDeque;
 use std::marker::PhantomData;
 
 use serde::Deserialize;
@@ -28,27 +30,25 @@ impl<T: Send + 'static> Recipe for Latency<T> {
     }
 
     fn build(&self, with: &Build) -> BoxedDelivery<T> {
-        let steps = libm::round(self.latency_s * with.rate_hz) as u64;
-        Box::new(Queue { steps, step: 0, waiting: VecDeque::new() })
+        let steps = libm::round(self.latency_s * with.rate_hz) as usize;
+        Box::new(Ring { under_way: (0..steps).map(|_| None).collect(), next: 0 })
     }
 }
 
-struct Queue<T> {
-    steps: u64,
-    step: u64,
-    /// What has come, and the step at which it goes on.
-    waiting: VecDeque<(u64, T)>,
+struct Ring<T> {
+    /// What came in the last steps, as many as the latency is long.
+    under_way: Box<[Option<T>]>,
+    /// Where the oldest is, and the newest goes.
+    next: usize,
 }
 
-impl<T: Send> Delivery<T> for Queue<T> {
+impl<T: Send> Delivery<T> for Ring<T> {
     fn pass(&mut self, sample: &mut Option<T>) {
-        let now = self.step;
-        self.step += 1;
-        if let Some(sample) = sample.take() {
-            self.waiting.push_back((now + self.steps, sample));
+        // Without a place there is no latency.
+        if let Some(oldest) = self.under_way.get_mut(self.next) {
+            std::mem::swap(sample, oldest);
+            self.next = if self.next + 1 == self.under_way.len() { 0 } else { self.next + 1 };
         }
-        // One comes in a step at most, so one goes out at most.
-        *sample = self.waiting.pop_front_if(|(due, _)| *due <= now).map(|(_, sample)| sample);
     }
 }
 

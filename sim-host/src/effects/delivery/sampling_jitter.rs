@@ -57,7 +57,12 @@ impl Recipe for SamplingJitter {
                 Draws::Uniform(UniformStream::new(with.seed, with.name, 0), libm::sqrt(3.0) * sigma_s)
             }
         };
-        ImuEffect::Sampling(Jitter { draws, interval_s: with.interval_s(), before: None })
+        ImuEffect::Sampling(Jitter {
+            draws,
+            interval_s: with.interval_s(),
+            rate_hz: with.rate_hz,
+            before: None,
+        })
     }
 }
 
@@ -72,6 +77,7 @@ enum Draws {
 pub struct Jitter {
     draws: Draws,
     interval_s: f64,
+    rate_hz: f64,
     /// Specific force at the sample before, m/s².
     before: Option<Vec3<f64>>,
 }
@@ -86,13 +92,19 @@ impl Jitter {
         delta_s.clamp(-0.5 * self.interval_s, 0.5 * self.interval_s)
     }
 
-    /// The state and the specific force at the time at which the sample is really taken, and that time.
-    pub fn displaced(&mut self, at: &Moment) -> (State, Vec3<f64>, f64) {
+    /// The moment at which the sample is really taken. `state` is a copy of the truth's, to be moved there.
+    #[inline]
+    pub fn displaced<'a>(&mut self, at: &Moment, state: &'a mut State) -> Moment<'a> {
         let delta_s = self.draw();
         let change = self.before.map_or(Vec3::ZERO, |before| at.specific_force - before);
         self.before = Some(at.specific_force);
-        let state = State { rates: at.state.rates + at.angular_acceleration * delta_s, ..*at.state };
-        (state, at.specific_force + change * (delta_s / self.interval_s), at.time_s + delta_s)
+        state.rates += at.angular_acceleration * delta_s;
+        Moment {
+            time_s: at.time_s + delta_s,
+            state,
+            specific_force: at.specific_force + change * (delta_s * self.rate_hz),
+            ..*at
+        }
     }
 }
 
@@ -137,12 +149,13 @@ mod tests {
             let (rates, specific_force) = truth(t);
             let state = State { rates, ..STATE };
             let at = Moment { specific_force, angular_acceleration: acceleration, ..moment(&state, t) };
-            let (moved, force, time_s) = jitter.displaced(&at);
-            let (wanted_rates, wanted_force) = truth(time_s);
-            assert!((moved.rates - wanted_rates).norm() < 1e-9);
+            let mut moved = state;
+            let got = jitter.displaced(&at, &mut moved);
+            let (wanted_rates, wanted_force) = truth(got.time_s);
+            assert!((got.state.rates - wanted_rates).norm() < 1e-9);
             // The first sample has none before it.
-            assert!(k == 0 || (force - wanted_force).norm() < 1e-9);
-            assert!((time_s - t).abs() <= 3.0_f64.sqrt() * 50e-6 && (k > 3 || time_s != t));
+            assert!(k == 0 || (got.specific_force - wanted_force).norm() < 1e-9);
+            assert!((got.time_s - t).abs() <= 3.0_f64.sqrt() * 50e-6 && (k > 3 || got.time_s != t));
         }
     }
 }

@@ -57,13 +57,13 @@ impl LowPass {
 
 impl SensorEffect for LowPass {
     #[inline]
-    fn apply(&mut self, reading: Vec3<f64>, _: &Moment) -> Vec3<f64> {
-        let fed = reading * self.b0;
+    fn apply_to(&mut self, reading: &mut Vec3<f64>, _: &Moment) {
+        let fed = *reading * self.b0;
         // At the start, the states of an input that was always there: no transient.
-        let [s1, s2] = self.states.unwrap_or_else(|| [reading - fed, fed - reading * self.a2]);
+        let [s1, s2] = self.states.unwrap_or_else(|| [*reading - fed, fed - *reading * self.a2]);
         let read = fed + s1;
         self.states = Some([fed * 2.0 - read * self.a1 + s2, fed - read * self.a2]);
-        read
+        *reading = read;
     }
 }
 

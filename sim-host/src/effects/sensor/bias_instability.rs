@@ -134,7 +134,7 @@ impl Flicker {
 
 impl SensorEffect for Flicker {
     #[inline]
-    fn apply(&mut self, reading: Vec3<f64>, _: &Moment) -> Vec3<f64> {
+    fn apply_to(&mut self, reading: &mut Vec3<f64>, _: &Moment) {
         self.samples += 1;
         let zeros = self.samples.trailing_zeros();
         if zeros & 1 == 1
@@ -149,7 +149,7 @@ impl SensorEffect for Flicker {
         for (i, x) in self.fast.iter_mut().enumerate() {
             *x = *x * FAST_DECAYS[i] + draw * FAST_GAINS[i];
         }
-        reading + (self.fast[0] + self.fast[1] + self.slow_sum).scale_by(self.b)
+        *reading += (self.fast[0] + self.fast[1] + self.slow_sum).scale_by(self.b);
     }
 }
 

@@ -58,8 +58,8 @@ pub(super) struct Offset(pub Vec3<f64>);
 
 impl SensorEffect for Offset {
     #[inline]
-    fn apply(&mut self, reading: Vec3<f64>, _: &Moment) -> Vec3<f64> {
-        reading + self.0
+    fn apply_to(&mut self, reading: &mut Vec3<f64>, _: &Moment) {
+        *reading += self.0;
     }
 }
 

@@ -47,13 +47,13 @@ struct Passing {
 }
 
 impl SensorEffect for Passing {
-    fn apply(&mut self, reading: Vec3<f64>, at: &Moment) -> Vec3<f64> {
+    fn apply_to(&mut self, reading: &mut Vec3<f64>, at: &Moment) {
         let passed = (at.time_s - self.at_s) * self.per_second;
         if !(0.0..=1.0).contains(&passed) {
-            return reading;
+            return;
         }
         let strength = 0.5 * (1.0 - libm::cos(TAU * passed));
-        reading + at.state.attitude.conjugate().rotate(self.field * strength)
+        *reading += at.state.attitude.conjugate().rotate(self.field * strength);
     }
 }
 

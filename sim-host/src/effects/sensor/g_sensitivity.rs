@@ -39,8 +39,8 @@ struct Coupling(Mat3<f64>);
 
 impl SensorEffect for Coupling {
     #[inline]
-    fn apply(&mut self, reading: Vec3<f64>, at: &Moment) -> Vec3<f64> {
-        reading + self.0 * at.specific_force
+    fn apply_to(&mut self, reading: &mut Vec3<f64>, at: &Moment) {
+        *reading += self.0 * at.specific_force;
     }
 }
 

@@ -32,8 +32,8 @@ impl Recipe for HardIron {
 struct Offset(Vec3<f64>);
 
 impl SensorEffect for Offset {
-    fn apply(&mut self, reading: Vec3<f64>, _: &Moment) -> Vec3<f64> {
-        reading + self.0
+    fn apply_to(&mut self, reading: &mut Vec3<f64>, _: &Moment) {
+        *reading += self.0;
     }
 }
 

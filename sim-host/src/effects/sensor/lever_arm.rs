@@ -34,9 +34,9 @@ struct Arm(Vec3<f64>);
 
 impl SensorEffect for Arm {
     #[inline]
-    fn apply(&mut self, reading: Vec3<f64>, at: &Moment) -> Vec3<f64> {
+    fn apply_to(&mut self, reading: &mut Vec3<f64>, at: &Moment) {
         let rates = at.state.rates;
-        reading + at.angular_acceleration.cross(self.0) + rates.cross(rates.cross(self.0))
+        *reading += at.angular_acceleration.cross(self.0) + rates.cross(rates.cross(self.0));
     }
 }
 

@@ -50,9 +50,9 @@ struct Wiring {
 }
 
 impl SensorEffect for Wiring {
-    fn apply(&mut self, reading: Vec3<f64>, at: &Moment) -> Vec3<f64> {
+    fn apply_to(&mut self, reading: &mut Vec3<f64>, at: &Moment) {
         let cubes: f64 = at.rotors.iter().map(|speed| speed * speed * speed).sum();
-        reading + self.field_per_cube * cubes
+        *reading += self.field_per_cube * cubes;
     }
 }
 

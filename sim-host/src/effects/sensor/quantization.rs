@@ -65,12 +65,12 @@ impl Steps {
 
 impl SensorEffect for Steps {
     #[inline]
-    fn apply(&mut self, reading: Vec3<f64>, _: &Moment) -> Vec3<f64> {
+    fn apply_to(&mut self, reading: &mut Vec3<f64>, _: &Moment) {
         // Adding and taking away 1.5 · 2⁵² rounds to the nearest integer, halves to even, below 2⁵¹ steps: at the
         // finest LSB allowed that is 2,000,000 in the unit of its key.
         const ROUNDER: f64 = 6_755_399_441_055_744.0;
         let rounded = |y: f64| ((y * self.per_lsb + ROUNDER) - ROUNDER) * self.lsb;
-        vec3(rounded(reading.x), rounded(reading.y), rounded(reading.z))
+        *reading = vec3(rounded(reading.x), rounded(reading.y), rounded(reading.z));
     }
 }
 

@@ -54,8 +54,8 @@ struct Ramp(Vec3<f64>);
 
 impl SensorEffect for Ramp {
     #[inline]
-    fn apply(&mut self, reading: Vec3<f64>, at: &Moment) -> Vec3<f64> {
-        reading + self.0 * at.time_s
+    fn apply_to(&mut self, reading: &mut Vec3<f64>, at: &Moment) {
+        *reading += self.0 * at.time_s;
     }
 }
 

@@ -67,10 +67,9 @@ impl Walk {
 
 impl SensorEffect for Walk {
     #[inline]
-    fn apply(&mut self, reading: Vec3<f64>, _: &Moment) -> Vec3<f64> {
-        let read = reading + self.bias;
+    fn apply_to(&mut self, reading: &mut Vec3<f64>, _: &Moment) {
+        *reading += self.bias;
         self.bias += self.step.scale_by(self.streams.draw());
-        read
     }
 }
 

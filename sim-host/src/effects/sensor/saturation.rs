@@ -55,9 +55,9 @@ struct Limit(f64);
 
 impl SensorEffect for Limit {
     #[inline]
-    fn apply(&mut self, reading: Vec3<f64>, _: &Moment) -> Vec3<f64> {
+    fn apply_to(&mut self, reading: &mut Vec3<f64>, _: &Moment) {
         let limited = |y: f64| y.clamp(-self.0, self.0);
-        vec3(limited(reading.x), limited(reading.y), limited(reading.z))
+        *reading = vec3(limited(reading.x), limited(reading.y), limited(reading.z));
     }
 }
 

@@ -33,8 +33,8 @@ struct Scale(Vec3<f64>);
 
 impl SensorEffect for Scale {
     #[inline]
-    fn apply(&mut self, reading: Vec3<f64>, _: &Moment) -> Vec3<f64> {
-        reading.scale_by(self.0)
+    fn apply_to(&mut self, reading: &mut Vec3<f64>, _: &Moment) {
+        *reading = reading.scale_by(self.0);
     }
 }
 

@@ -36,8 +36,8 @@ impl Recipe for SoftIron {
 struct Bend(Mat3<f64>);
 
 impl SensorEffect for Bend {
-    fn apply(&mut self, reading: Vec3<f64>, _: &Moment) -> Vec3<f64> {
-        self.0 * reading
+    fn apply_to(&mut self, reading: &mut Vec3<f64>, _: &Moment) {
+        *reading = self.0 * *reading;
     }
 }
 

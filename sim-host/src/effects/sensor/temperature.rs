@@ -132,13 +132,12 @@ struct WarmUp {
 
 impl SensorEffect for WarmUp {
     #[inline]
-    fn apply(&mut self, reading: Vec3<f64>, _: &Moment) -> Vec3<f64> {
+    fn apply_to(&mut self, reading: &mut Vec3<f64>, _: &Moment) {
         let scale = vec3(1.0, 1.0, 1.0) + self.scale_per_k * self.excess_k;
-        let read = reading.scale_by(scale) + self.bias_per_k * self.excess_k;
+        *reading = reading.scale_by(scale) + self.bias_per_k * self.excess_k;
         // Step by step rather than by the exponential of the time, which would cost more than the rest. It is
         // exact but for rounding, and that stays below 10⁻¹⁶ T τ/Δt: 3e-8 K for 30 K, 1,000 s and 10 kHz.
         self.excess_k += (self.end_excess_k - self.excess_k) * self.approach;
-        read
     }
 }
 

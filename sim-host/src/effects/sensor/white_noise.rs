@@ -89,8 +89,8 @@ impl WhiteNoise {
 
 impl SensorEffect for WhiteNoise {
     #[inline]
-    fn apply(&mut self, reading: Vec3<f64>, _: &Moment) -> Vec3<f64> {
-        reading + self.deviation.scale_by(self.streams.draw())
+    fn apply_to(&mut self, reading: &mut Vec3<f64>, _: &Moment) {
+        *reading += self.deviation.scale_by(self.streams.draw());
     }
 }
 

@@ -1,0 +1,167 @@
+//! What comes out of a receiver's port when garbage goes in, from the bytes to the motors: nothing arms, nothing
+//! panics, and the pilot is heard again within the time that is stated.
+
+#[path = "still_vehicle/mod.rs"]
+mod still_vehicle;
+#[path = "../../receiver/tests/decoding/wire.rs"]
+#[allow(dead_code)] // written for the decoders' own tests
+mod wire;
+
+use flight_core::ArmState;
+use flight_core::rc::link::RC_BACK_US;
+use flight_core::rc::{CENTRE_TICKS, ChannelMap, HIGH_TICKS, LOW_TICKS};
+use receiver::{Protocol, RECOVERY_FRAMES, Receiver};
+use still_vehicle::{StillVehicle, config};
+use wire::{BOTH, Random, received_us};
+
+/// Frames of good senders are this far apart, µs.
+const FRAME_US: u64 = 14_000;
+
+/// A port with a receiver on the one side, and the flight controller behind it.
+struct Port {
+    receiver: Receiver,
+    vehicle: StillVehicle,
+    /// Up to when bytes have been sent, and steps been made, µs.
+    sent_us: u64,
+    stepped_ms: u64,
+    channels: ChannelMap,
+}
+
+impl Port {
+    fn new(protocol: Protocol) -> Self {
+        Self {
+            receiver: Receiver::new(protocol),
+            vehicle: StillVehicle::new(&config()),
+            sent_us: 0,
+            stepped_ms: 0,
+            channels: ChannelMap::AETR,
+        }
+    }
+
+    /// Sends bytes, each `spacing_us` after the last, and steps the flight controller each millisecond.
+    fn send(&mut self, bytes: &[u8], spacing_us: u64) {
+        for byte in bytes {
+            self.sent_us += spacing_us;
+            if let Some(frame) = self.receiver.push(*byte, self.sent_us) {
+                let frame = frame.to_rc(&self.channels);
+                self.vehicle.step(Some(frame));
+                self.stepped_ms += 1;
+            }
+            self.step();
+        }
+    }
+
+    /// Nothing for a while.
+    fn wait(&mut self, us: u64) {
+        self.sent_us += us;
+        self.step();
+    }
+
+    fn step(&mut self) {
+        while self.stepped_ms * 1_000 < self.sent_us {
+            self.vehicle.step(None);
+            self.stepped_ms += 1;
+        }
+    }
+
+    /// A good sender for a while; until `done`. Returns how long it took, µs.
+    fn listen_to(
+        &mut self,
+        protocol: Protocol,
+        channels: [u16; 16],
+        done: impl Fn(&StillVehicle) -> bool,
+    ) -> Option<u64> {
+        let began_us = self.sent_us;
+        let frame = wire::channels(protocol, &channels);
+        for _ in 0..300 {
+            let next_us = self.sent_us + FRAME_US;
+            self.send(&frame, received_us(protocol, 0));
+            self.wait(next_us.saturating_sub(self.sent_us));
+            if done(&self.vehicle) {
+                return Some(self.sent_us - began_us);
+            }
+        }
+        None
+    }
+}
+
+/// The sticks in the order of a transmitter: throttle low, yaw where it is wanted, arm switch on.
+fn held(yaw: u16) -> [u16; 16] {
+    let mut channels = [CENTRE_TICKS; 16];
+    (channels[2], channels[3], channels[4]) = (LOW_TICKS, yaw, HIGH_TICKS);
+    channels
+}
+
+/// What it takes from the first good frame of the arm gesture to armed: the frames that resynchronisation may
+/// cost, the link's half second, the gesture's second, the half second of checks; and a frame, since time counts from
+/// frame to frame.
+const TO_ARMED_US: u64 = (RECOVERY_FRAMES as u64 + 1) * FRAME_US + RC_BACK_US as u64 + 1_000_000 + 500_000;
+
+#[test]
+fn a_million_random_bytes_arm_nothing_and_the_pilot_is_heard_after_them() {
+    for protocol in BOTH {
+        for spacing_us in [0, received_us(protocol, 0), 900] {
+            let mut port = Port::new(protocol);
+            let mut random = Random(11);
+            port.wait(2_000_000);
+            for _ in 0..1_000 {
+                let bytes: Vec<u8> = (0..1_000).map(|_| random.byte()).collect();
+                port.send(&bytes, spacing_us);
+                // A pause, as between frames.
+                port.wait(4_000);
+            }
+            assert!(!port.vehicle.turned, "{protocol:?}: {:?}", port.vehicle.events);
+            let took = port.listen_to(protocol, held(HIGH_TICKS), |v| v.state() == ArmState::Armed);
+            let took = took.unwrap_or_else(|| panic!("{protocol:?} is never heard again"));
+            println!(
+                "{protocol:?}, a byte every {spacing_us} µs: armed {took} µs after the first good frame"
+            );
+            assert!(took <= TO_ARMED_US, "{protocol:?}: {took} µs, {TO_ARMED_US} promised");
+        }
+    }
+}
+
+#[test]
+fn frames_that_are_right_but_for_their_contents_arm_nothing() {
+    // Whatever passes the checks: channels at random, one frame after the other, for ten minutes.
+    for protocol in BOTH {
+        let mut port = Port::new(protocol);
+        let mut random = Random(5);
+        for _ in 0..43_000 {
+            let channels = std::array::from_fn(|_| (random.next() % 2_048) as u16);
+            port.send(&wire::channels(protocol, &channels), received_us(protocol, 0));
+            port.wait(10_000);
+        }
+        assert!(!port.vehicle.turned, "{protocol:?}: {:?}", port.vehicle.events);
+    }
+}
+
+#[test]
+fn broken_frames_between_good_ones_do_not_take_the_link_away() {
+    for protocol in BOTH {
+        let mut port = Port::new(protocol);
+        let mut random = Random(23);
+        port.listen_to(protocol, held(CENTRE_TICKS), |_| false);
+        assert!(port.listen_to(protocol, held(HIGH_TICKS), |v| v.state() == ArmState::Armed).is_some());
+        // Every other frame is cut short, flipped, or spliced from two.
+        let good = wire::channels(protocol, &held(CENTRE_TICKS));
+        for n in 0..3_000 {
+            let mut frame = good.clone();
+            match n % 3 {
+                0 => frame.truncate(1 + random.next() as usize % (good.len() - 1)),
+                1 if protocol == Protocol::Crsf => {
+                    let bit = random.next() as usize % (8 * good.len());
+                    frame[bit / 8] ^= 1 << (bit % 8);
+                }
+                // SBUS has no checksum: a flipped bit of a channel is a stick that twitches for a frame.
+                1 => frame[0] ^= 1 << (n % 8),
+                _ => frame = [&good[..good.len() / 2], &good[..]].concat(),
+            }
+            for bytes in [frame, good.clone()] {
+                port.send(&bytes, received_us(protocol, 0));
+                port.wait(7_000);
+            }
+        }
+        assert_eq!(port.vehicle.state(), ArmState::Armed, "{protocol:?}: {:?}", port.vehicle.events);
+    }
+}
