@@ -75,10 +75,12 @@ pub fn init(mut core: cortex_m::Peripherals, device: pac::Peripherals) -> Board 
     device.TIM5.cr1().write(|w| w.cen().set_bit());
     device.TIM2.psc().write(|w| w.psc().set(999));
     device.TIM2.egr().write(|w| w.ug().set_bit());
-    device.TIM2.arr().write(|w| w.arr().set(TICK_US));
+    device.TIM2.arr().write(|w| w.arr().set(TICK_US - 1));
     device.TIM2.dier().write(|w| w.uie().set_bit());
     device.TIM2.cr1().write(|w| w.cen().set_bit());
     listen(&mut core.NVIC, Interrupt::TIM2);
+    // The first tick is the first slot's start. A few microseconds less, so that it is never ahead of the count.
+    BEGAN_US.store(now_us().wrapping_add(TICK_US - 5), Ordering::Relaxed);
     play(0);
 
     Board {
@@ -131,10 +133,6 @@ fn TIM2() {
     unsafe { &*TIM2::ptr() }.sr().write(|w| w.uif().clear_bit());
     let tick = TICK.fetch_add(1, Ordering::Relaxed);
     assert!(tick < LAST_TICK, "the flight task fell behind the table");
-    if tick == 0 {
-        // A little earlier, so that no tick is ever ahead of the count, however late this one is.
-        BEGAN_US.store(now_us().wrapping_sub(5), Ordering::Relaxed);
-    }
     let at_us = tick * TICK_US;
     let slot = tick / TICKS_PER_PERIOD;
     if tick.is_multiple_of(TICKS_PER_PERIOD) {
