@@ -49,7 +49,8 @@ fn five_seconds_on_the_board_equal_the_host_bit_for_bit() {
     println!("{STEPS} steps of {WORDS_PER_STEP} words are the same, {driven} of them with the motors driven");
 
     let line = output.lines().find_map(|line| line.strip_prefix("icount,sample to motors,")).expect(&output);
-    let [steps, total, most] = line.split(',').map(|n| n.parse::<u32>().unwrap()).collect::<Vec<_>>()[..] else {
+    let [steps, total, most] = line.split(',').map(|n| n.parse::<u32>().unwrap()).collect::<Vec<_>>()[..]
+    else {
         panic!("{line}")
     };
     println!("sample to motors: {steps} steps, mean {} instructions, most {most}", total / steps);

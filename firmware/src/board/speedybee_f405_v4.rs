@@ -144,7 +144,7 @@ pub fn init(mut core: cortex_m::Peripherals, device: pac::Peripherals) -> Board 
 
     gpioc.pc0.into_analog();
     let supply = Supply::new(device.ADC1, &device.ADC_COMMON, BATTERY_CHANNEL, BATTERY_RATIO, &mut rcc);
-    let bus = Bus::new(device.I2C1, gpiob.pb8, gpiob.pb9, &mut rcc, &mut Wait);
+    let bus = Bus::new(device.I2C1, gpiob.pb8, gpiob.pb9, &mut rcc);
     let compass = Compass(crate::compass::Compass::new(bus));
 
     let mut exti = device.EXTI;
@@ -188,7 +188,7 @@ fn tim5() -> &'static pac::tim5::RegisterBlock {
 }
 
 /// Waits by TIM5, for those who may.
-struct Wait;
+pub struct Wait;
 
 impl DelayNs for Wait {
     fn delay_ns(&mut self, ns: u32) {

@@ -13,7 +13,7 @@ use core::sync::atomic::{AtomicU32, Ordering};
 use embedded_hal::delay::DelayNs;
 use embedded_hal::i2c::{self, ErrorKind, ErrorType, I2c, NoAcknowledgeSource, Operation};
 use stm32f4xx_hal::gpio::{PB8, PB9};
-use stm32f4xx_hal::pac::{I2C1, i2c1};
+use stm32f4xx_hal::pac::{GPIOB, I2C1, i2c1};
 use stm32f4xx_hal::rcc::{Enable, Rcc};
 
 use crate::board;
@@ -37,7 +37,7 @@ pub enum BusError {
     NotAcknowledged,
     /// The run's time is up: a line is held, or a wire is off.
     TimeUp,
-    /// The lines do not do what they are told.
+    /// Somebody else pulls at the lines.
     Disturbed,
     /// Two bytes cannot be read, nor none.
     Length,
@@ -65,30 +65,20 @@ fn regs() -> &'static i2c1::RegisterBlock {
 }
 
 impl Bus {
-    /// The bus on PB8 (SCL) and PB9 (SDA), which have pull-ups on this board. If a sensor holds SDA, because a reset
-    /// has cut it off in the middle of a byte, it gets the clocks to finish it.
-    pub fn new(_i2c: I2C1, scl: PB8, sda: PB9, rcc: &mut Rcc, delay: &mut impl DelayNs) -> Self {
-        let mut clock = scl.into_open_drain_output();
-        let data = sda.into_input();
-        for _ in 0..9 {
-            if data.is_high() {
-                break;
-            }
-            clock.set_low();
-            delay.delay_us(5);
-            clock.set_high();
-            delay.delay_us(5);
-        }
-        clock.into_alternate_open_drain::<4>();
-        data.into_alternate_open_drain::<4>();
+    /// The bus on PB8 (SCL) and PB9 (SDA), which have pull-ups on this board.
+    pub fn new(_i2c: I2C1, scl: PB8, sda: PB9, rcc: &mut Rcc) -> Self {
+        scl.into_alternate_open_drain::<4>();
+        sda.into_alternate_open_drain::<4>();
         I2C1::enable(rcc);
         let bus = Self { apb1_mhz: rcc.clocks.pclk1().raw() / 1_000_000 };
         bus.set_up();
         bus
     }
 
-    /// Resets the peripheral and sets it up: fast mode, low twice as long as high, rise time 300 ns.
+    /// Frees the data line, resets the peripheral and sets it up: fast mode, low twice as long as high, rise time
+    /// 300 ns.
     fn set_up(&self) {
+        free_data_line();
         let regs = regs();
         regs.cr1().write(|w| w.swrst().set_bit());
         regs.cr1().reset();
@@ -101,6 +91,25 @@ impl Bus {
         regs.trise().write(|w| w.trise().set((self.apb1_mhz * 300 / 1_000 + 1) as u8));
         regs.cr1().write(|w| w.pe().set_bit());
     }
+}
+
+/// A sensor that was cut off in the middle of a byte may hold the data line, waiting for the clock: it gets the
+/// clocks to finish, up to nine, from the pin itself. Takes up to 0.1 ms.
+fn free_data_line() {
+    // SAFETY: PB8 and PB9 are this module's, and after `init` nobody else writes to the port's mode register.
+    let gpiob = unsafe { &*GPIOB::ptr() };
+    gpiob.bsrr().write(|w| w.bs8().set_bit());
+    gpiob.moder().modify(|_, w| w.moder8().output());
+    for _ in 0..9 {
+        if gpiob.idr().read().idr9().bit_is_set() {
+            break;
+        }
+        gpiob.bsrr().write(|w| w.br8().set_bit());
+        board::Wait.delay_us(5);
+        gpiob.bsrr().write(|w| w.bs8().set_bit());
+        board::Wait.delay_us(5);
+    }
+    gpiob.moder().modify(|_, w| w.moder8().alternate());
 }
 
 fn write(address: u8, bytes: &[u8]) -> Result<(), BusError> {
@@ -149,26 +158,34 @@ fn read(address: u8, bytes: &mut [u8]) -> Result<(), BusError> {
     }
 }
 
-/// Waits for `done` of the status; ends at an error, and when the run's time is up.
+/// Waits for `done` of the status; ends at an error, and when the run's time is up. A bus error is no error: the
+/// chip sees some that are none (errata sheet ES0182, "Spurious bus error detection in master mode").
 fn wait(done: impl Fn(&i2c1::sr1::R) -> bool) -> Result<(), BusError> {
     loop {
         let status = regs().sr1().read();
         if status.af().bit_is_set() {
             return Err(BusError::NotAcknowledged);
         }
-        if status.arlo().bit_is_set() || status.berr().bit_is_set() {
+        if status.arlo().bit_is_set() {
             return Err(BusError::Disturbed);
         }
         if done(&status) {
             return Ok(());
         }
-        if board::now_us().wrapping_sub(RUN_BEGAN_US.load(Ordering::Relaxed)) > RUN_US {
-            return Err(BusError::TimeUp);
-        }
+        in_time()?;
     }
 }
 
+fn in_time() -> Result<(), BusError> {
+    let since_us = board::now_us().wrapping_sub(RUN_BEGAN_US.load(Ordering::Relaxed));
+    if since_us > RUN_US { Err(BusError::TimeUp) } else { Ok(()) }
+}
+
 fn start(acknowledge: bool) -> Result<(), BusError> {
+    // The register must not be written to before the last stop is through.
+    while regs().cr1().read().stop().bit_is_set() {
+        in_time()?;
+    }
     regs().cr1().modify(|_, w| w.start().set_bit().ack().bit(acknowledge));
     wait(|status| status.sb().bit_is_set())
 }

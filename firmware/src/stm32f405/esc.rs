@@ -10,8 +10,9 @@
 //! Both timers have the same clock, prescaler and period. With PWM they are started one right after the other and
 //! never stopped, so that their periods begin within a microsecond of each other for ever. Compare values are
 //! preloaded: a timer takes them when a period begins. What remains is that a period begins between two of the
-//! four writes, and so nothing is written in the last [`GUARD_US`] of a period; the writes take a tenth of that,
-//! and what may interrupt them less than half. So one step's four pulses always go out in the same period.
+//! four writes, and so nothing is written in the last [`GUARD_US`] of a period; the writes, their arithmetic and
+//! what may interrupt them take half of that. So one step's four pulses always go out in the same period. TIM4
+//! is started first: once TIM3, which is looked at, has begun a period, so has TIM4.
 //!
 //! With the other two the timers stand while they are written to, and are started afterwards.
 //!
@@ -74,7 +75,7 @@ impl Lines {
     /// Sets the timers up, and starts them with the stop pulse. Their clocks must run; the pins may be connected
     /// afterwards.
     pub fn start(&self) {
-        let timers = [tim3(), tim4()];
+        let timers = [tim4(), tim3()];
         for timer in timers {
             timer.cr1().write(|w| w.arpe().set_bit().opm().bit(self.protocol == Protocol::OneShot125));
             timer.psc().write(|w| w.psc().set(self.prescaler));
@@ -142,7 +143,7 @@ impl Lines {
                 }
                 let counts = pulses_us.map(|us| oneshot125_counts(us, CLOCK_MHZ));
                 load(counts.map(|counts| self.period.saturating_sub(counts)));
-                let timers = [tim3(), tim4()];
+                let timers = [tim4(), tim3()];
                 timers.into_iter().for_each(take_preloaded);
                 timers.into_iter().for_each(run);
             }
@@ -154,7 +155,7 @@ impl Lines {
                     pulses_us.map(|us| dshot_duties(DshotThrottle::from_pulse(us).frame(false), DSHOT_BIT));
                 TIM4_TABLE.write(&m1, &m2);
                 TIM3_TABLE.write(&m3, &m4);
-                let timers = [tim3(), tim4()];
+                let timers = [tim4(), tim3()];
                 timers.into_iter().for_each(rewind);
                 TIM3_TABLE.play();
                 TIM4_TABLE.play();
