@@ -27,12 +27,12 @@
 //! the pulses' conversion. Not in it is what only the flight board does: starting the burst, looking at its end,
 //! and waiting for room in the timers' period if there is none. A line `icount,sample to motors,...` says it in the end.
 
-use core::sync::atomic::{AtomicBool, AtomicU8, AtomicU32, Ordering};
+use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 
 use cortex_m::peripheral::{NVIC, SCB};
 use cortex_m_semihosting::debug::{self, EXIT_FAILURE, EXIT_SUCCESS};
 use cortex_m_semihosting::{hprintln, nr, syscall};
-use drivers::icm42688p::{FRAME_LEN, Frame};
+use drivers::icm42688p::FRAME_LEN;
 use fixed_input::{STEPS, WORDS_FILE, WORDS_PER_STEP};
 use flight_core::Config;
 use flight_core::arming::MotorPermit;
@@ -41,7 +41,7 @@ use flight_core::sample::{Battery, MagSample, RcFrame};
 use stm32f4xx_hal::pac::{self, Interrupt, TIM2, TIM3, TIM4, TIM5, interrupt};
 
 use super::{Board, OVERDUE_US, PERIOD_US, Step, WAKE_FLIGHT, listen};
-use crate::sampling::{self, Burst, BurstBus};
+use crate::sampling::{self, Burst, BurstBus, FrameBuffer};
 use crate::stm32f405::esc::Lines;
 use crate::watch::{COMPASS_TICKS, SUPPLY_TICKS};
 
@@ -123,7 +123,7 @@ static CAME: AtomicU32 = AtomicU32::new(0);
 static WRITTEN: AtomicU32 = AtomicU32::new(0);
 
 /// The frame of the slot that comes next.
-static FRAME: [AtomicU8; FRAME_LEN] = [const { AtomicU8::new(0) }; FRAME_LEN];
+static FRAME: FrameBuffer = FrameBuffer::new();
 
 /// Half a period has passed.
 #[interrupt]
@@ -159,10 +159,11 @@ fn play(slot: u32) {
     let sample = fixed_input::imu(slot);
     let axes = sample.accel.into_iter().chain(sample.gyro).flat_map(i16::to_be_bytes);
     // The byte that comes with the address, the axes, two bytes of time, and the flag of a new sample.
-    let bytes = [0].into_iter().chain(axes).chain([0, 0, 0x08]);
-    for (place, byte) in FRAME.iter().zip(bytes) {
-        place.store(byte, Ordering::Relaxed);
+    let mut frame = [0; FRAME_LEN];
+    for (place, byte) in frame.iter_mut().zip([0].into_iter().chain(axes).chain([0, 0, 0x08])) {
+        *place = byte;
     }
+    FRAME.write(&frame);
     SCB::set_pendst();
 }
 
@@ -172,8 +173,7 @@ pub struct Table;
 impl BurstBus for Table {
     #[inline]
     fn look(&mut self) -> Burst {
-        let frame: Frame = FRAME.each_ref().map(|byte| byte.load(Ordering::Relaxed));
-        Burst::Done(frame)
+        Burst::Done(FRAME.read())
     }
 
     fn abort(&mut self) {}
