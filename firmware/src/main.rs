@@ -85,7 +85,7 @@ mod app {
     use crate::inbox::Inbox;
     use crate::sampling;
     use crate::tally::TALLY;
-    use crate::watch::{COMPASS_TICKS, HEALTH_TICKS, SUPPLY_TICKS, Task, Watch};
+    use crate::watch::{self, COMPASS_TICKS, HEALTH_TICKS, SUPPLY_TICKS, Task, Watch};
 
     /// The outputs are locked, because people are about.
     const BENCH: bool = cfg!(feature = "bench");
@@ -178,20 +178,19 @@ mod app {
         let flight::SharedResources { mut inbox, mut watch, .. } = cx.shared;
         let Some(sample) = sampler.take(board::now_us()) else { return };
 
-        let inbox = inbox.lock(core::mem::take);
-        let missed_deadlines = watch.lock(|watch| watch.missed());
+        let Inbox { rc, mag, battery } = inbox.lock(core::mem::take);
         let output = controller.step(&Input {
             time_us: sample.time_us,
             imu: sample.imu,
-            mag: inbox.mag,
-            rc: inbox.rc,
-            battery: inbox.battery,
+            mag,
+            rc,
+            battery,
             bench: None,
             health: Health {
                 usb: BENCH,
                 maintenance: false,
                 watchdog_reset: *watchdog_reset,
-                missed_deadlines,
+                missed_deadlines: watch::missed(),
             },
         });
         match output.permit {
@@ -200,7 +199,7 @@ mod app {
         }
 
         #[cfg(feature = "bench")]
-        stream::spawn(sample.time_us, sample.imu, inbox.mag).ok();
+        stream::spawn(sample.time_us, sample.imu, mag).ok();
         let attitude = controller.attitude();
         let sampled = sample.imu.is_some();
         monitor.show(&Step { time_us: sample.time_us, sampled, state: output.state, attitude });
@@ -275,11 +274,11 @@ mod app {
 
     #[task(priority = 2, shared = [watch])]
     async fn health(mut cx: health::Context) {
-        let missed = cx.shared.watch.lock(|watch| {
+        cx.shared.watch.lock(|watch| {
             watch.check_in(Task::Health, Deadline::Met, board::now_us());
-            watch.report()
+            watch.begin_report();
         });
-        TALLY.log(missed);
+        TALLY.log(watch::missed());
     }
 
     #[task(priority = 2)]

@@ -162,7 +162,10 @@ impl<B: BurstBus> Sampler<B> {
     /// overdue.
     #[inline]
     pub fn take(&mut self, now_us: u32) -> Option<Sample> {
-        let overdue = OVERDUE.swap(false, Ordering::Acquire);
+        let overdue = OVERDUE.load(Ordering::Acquire);
+        if overdue {
+            OVERDUE.store(false, Ordering::Relaxed);
+        }
         if BURST.load(Ordering::Acquire) {
             let ready_us = READY_US.load(Ordering::Relaxed);
             match self.bus.look() {

@@ -1,5 +1,7 @@
 //! Who is on time: the roll of the periodic tasks, and the deadlines that they have missed.
 
+use core::sync::atomic::{AtomicU32, Ordering};
+
 use flight_core::watchdog::{Deadline, Late, Roll};
 
 use crate::board::{OVERDUE_US, PERIOD_US};
@@ -58,11 +60,18 @@ pub const HEALTH_TICKS: u32 = 1_000;
 /// How long after start a task may take to its first run, µs.
 const GRACE_US: u64 = 1_100_000;
 
-/// The roll, and what was missed.
+/// Deadlines missed since start. An atomic, so that a step may read it without a lock; [`Watch`] writes it.
+static MISSED: AtomicU32 = AtomicU32::new(0);
+
+/// Deadlines missed since start.
+pub fn missed() -> u32 {
+    MISSED.load(Ordering::Relaxed)
+}
+
+/// The roll, and who was told of.
 pub struct Watch {
     roll: Roll<{ Task::ALL.len() }>,
     clock: Clock,
-    missed: u32,
     /// Bit n: a miss of task n has been told since the last health line.
     told: u32,
 }
@@ -76,7 +85,7 @@ impl Watch {
             allowed_age_us[n] = Task::ALL[n].allowed_age_us();
             n += 1;
         }
-        Self { roll: Roll::new(allowed_age_us, 0, GRACE_US), clock: Clock::new(), missed: 0, told: 0 }
+        Self { roll: Roll::new(allowed_age_us, 0, GRACE_US), clock: Clock::new(), told: 0 }
     }
 
     /// `task` ends a run at `now_us`. Returns whether a person should be told that it was late.
@@ -88,22 +97,16 @@ impl Watch {
 
     /// `task` was to begin a run, and has not finished the one before. Returns as [`Self::check_in`].
     pub fn miss(&mut self, task: Task) -> bool {
-        self.missed = self.missed.wrapping_add(1);
+        MISSED.fetch_add(1, Ordering::Relaxed);
         let bit = 1 << task as u32;
         let tell = self.told & bit == 0;
         self.told |= bit;
         tell
     }
 
-    /// Deadlines missed since start.
-    pub fn missed(&self) -> u32 {
-        self.missed
-    }
-
-    /// The same for the health line, after which misses are told again.
-    pub fn report(&mut self) -> u32 {
+    /// A health line has been written: misses are told again.
+    pub fn begin_report(&mut self) {
         self.told = 0;
-        self.missed
     }
 
     /// Whether everybody is on time, and if not, who is late.

@@ -124,6 +124,8 @@ static WRITTEN: AtomicU32 = AtomicU32::new(0);
 
 /// The frame of the slot that comes next.
 static FRAME: FrameBuffer = FrameBuffer::new();
+/// Whether it arrives.
+static ARRIVES: AtomicBool = AtomicBool::new(false);
 
 /// Half a period has passed.
 #[interrupt]
@@ -134,9 +136,8 @@ fn TIM2() {
     let tick = TICK.fetch_add(1, Ordering::Relaxed);
     assert!(tick < LAST_TICK, "the flight task fell behind the table");
     let at_us = tick * TICK_US;
-    let slot = tick / TICKS_PER_PERIOD;
     if tick.is_multiple_of(TICKS_PER_PERIOD) {
-        if fixed_input::sample_arrives(slot) {
+        if ARRIVES.load(Ordering::Relaxed) {
             CAME.store(came, Ordering::Relaxed);
             SAMPLE_TICK.store(tick, Ordering::Relaxed);
             assert!(sampling::ready(at_us, false), "the last sample has not been taken");
@@ -144,7 +145,7 @@ fn TIM2() {
         }
         return;
     }
-    play(slot + 1);
+    play(tick / TICKS_PER_PERIOD + 1);
     // SAFETY: the flight task, which also writes to TIM3, does not run now.
     unsafe { &*TIM3::ptr() }.egr().write(|w| w.ug().set_bit());
     let late = tick - SAMPLE_TICK.load(Ordering::Relaxed);
@@ -164,6 +165,7 @@ fn play(slot: u32) {
         *place = byte;
     }
     FRAME.write(&frame);
+    ARRIVES.store(fixed_input::sample_arrives(slot), Ordering::Relaxed);
     SCB::set_pendst();
 }
 
