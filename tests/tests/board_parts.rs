@@ -76,6 +76,13 @@ fn the_receivers_protocol_is_found_and_kept() {
             assert_eq!(wire.pass(speaks, &[]), None);
         }
         assert_eq!(wire.pass(speaks, &bytes), Some(first));
+
+        // A frame that ends wrong is counted, and the next one heard.
+        let (last, begin) = bytes.split_last().unwrap();
+        let before = wire.pilot.damaged();
+        assert_eq!(wire.pass(speaks, &[begin, &[last ^ 0x81]].concat()), None);
+        assert_eq!(wire.pass(speaks, &bytes), Some(first));
+        assert!(wire.pilot.damaged() > before);
     }
 }
 
