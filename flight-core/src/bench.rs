@@ -10,6 +10,7 @@ pub const BENCH_SILENT_US: u32 = 250_000;
 
 /// Limits of the bench.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct BenchParams {
     /// Largest thrust, as a share of the rotor's largest.
     pub max_thrust: f32,

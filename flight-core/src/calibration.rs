@@ -9,6 +9,7 @@ use crate::geometry::{Mat3, Vec3, vec3};
 
 /// What a calibration found about one three-axis sensor.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct SensorCalibration {
     /// Reading at zero input, in the sensor's SI unit (magnetometer: µT), body axes. Subtracted first.
     pub bias: Vec3<f32>,
@@ -23,6 +24,7 @@ impl SensorCalibration {
 
 /// What a calibration found about all sensors.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct Calibration {
     /// Gyroscope, rad/s.
     pub gyro: SensorCalibration,
@@ -40,6 +42,7 @@ impl Calibration {
 
 /// How a chip's counts become SI in body axes, before any calibration.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct Sensitivity {
     /// SI units (magnetometer: µT) per count.
     pub per_count: f32,

@@ -15,6 +15,7 @@ use crate::rc::{ArmBy, ChannelMap};
 
 /// What a [`crate::FlightController`] is built from.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct Config {
     /// What does not change from one vehicle of a type to the next.
     pub params: Params,
@@ -24,6 +25,7 @@ pub struct Config {
 
 /// Rates, sensors, filters, airframe and gains.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct Params {
     /// Rate of gyroscope and accelerometer, and so of the whole chain, Hz.
     pub imu_rate_hz: f32,
@@ -63,6 +65,7 @@ pub struct Params {
 
 /// How to come down without a pilot, or on a battery that is nearly empty.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct DescentParams {
     /// Throttle, 0 to 1: a little less than it takes to hover.
     pub throttle: f32,

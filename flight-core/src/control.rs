@@ -17,6 +17,7 @@ use crate::rc::{FlightMode, Gesture, Sticks};
 
 /// Gains and limits of the cascade.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct ControlParams {
     /// Tilt at full stick, rad ([`FlightMode::Angle`]).
     pub max_tilt_rad: f32,

@@ -50,6 +50,7 @@ impl Scalar for f64 {
 
 /// A vector in the body's or the world's axes; which one, and the unit, is said where it is used.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct Vec3<T> {
     /// Forward, or north.
     pub x: T,
@@ -153,6 +154,7 @@ impl<T: Scalar> Mul<T> for Vec3<T> {
 
 /// A 3×3 matrix, by rows.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct Mat3<T> {
     /// First, second and third row.
     pub rows: [Vec3<T>; 3],

@@ -19,6 +19,7 @@ const MIN_STUCK_LOOKS: f32 = 50.0;
 /// here, and fifty pairs in succession with 10⁻²⁰; with half a count it is 10⁻¹³. A simulated sensor without noise
 /// may stand still for ever.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct StuckCheck {
     /// The gyroscope.
     pub gyro: bool,

@@ -21,6 +21,7 @@ use crate::geometry::{Vec3, vec3};
 
 /// The vehicle, as far as thrust, torque and angular acceleration go (symbols of the paper's table 1).
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct Airframe {
     /// b, N·s²: thrust of a rotor is b Ω².
     pub thrust_coefficient: f32,

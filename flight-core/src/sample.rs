@@ -24,6 +24,7 @@ pub struct Input {
 
 /// Raw counts of the inertial sensor, in the chip's own axes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct ImuSample {
     /// Angular rate about the chip's x, y, z.
     pub gyro: [i16; 3],
@@ -33,6 +34,7 @@ pub struct ImuSample {
 
 /// Raw counts of the magnetometer, in the chip's own axes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct MagSample {
     /// Field along the chip's x, y, z.
     pub counts: [i16; 3],
@@ -40,6 +42,7 @@ pub struct MagSample {
 
 /// One frame from the receiver.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct RcFrame {
     /// Throttle, roll, pitch, yaw in the 11-bit ticks of SBUS and CRSF: 172 to 1811, centre 992.
     pub channels: [u16; 4],
@@ -53,6 +56,7 @@ pub struct RcFrame {
 
 /// What a receiver says of its link to the transmitter.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub enum LinkStatus {
     /// The frame is the pilot's.
     #[default]
@@ -74,6 +78,7 @@ pub struct BenchCommand {
 
 /// State of the supply.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct Battery {
     /// Terminal voltage, V.
     pub voltage_v: f32,

@@ -25,6 +25,7 @@ const CHECK_US: u32 = 500_000;
 
 /// Whether the motors may turn.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub enum ArmState {
     /// They may not.
     #[default]
@@ -76,6 +77,7 @@ impl ArmState {
 
 /// Why a state was left, or a request refused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub enum Cause {
     /// The pilot asked for it.
     Pilot,
@@ -155,6 +157,7 @@ impl Cause {
 
 /// A change of state or, from a state to itself, a refusal.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct Event {
     /// The state before.
     pub from: ArmState,

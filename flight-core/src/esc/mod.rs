@@ -10,6 +10,7 @@ use crate::config::{ConfigError, check};
 /// The map of a real ESC and motor is measured on a stand; a straight line through its ends is our choice
 /// for the default vehicle.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct EscParams {
     /// Pulse at which the motor stands still, µs.
     pub stop_us: f32,

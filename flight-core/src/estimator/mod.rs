@@ -34,6 +34,7 @@ const MIN_HORIZONTAL_FIELD_SQUARED: f32 = 1.0;
 
 /// How the two sides of eq 18 are weighted.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub enum Weight {
     /// α = τ/(τ + Δt): the same behaviour in time at any rate.
     TimeConstant {
@@ -60,6 +61,7 @@ impl Weight {
 
 /// The coordinates in which the gyroscope is integrated and eq 18 is applied.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub enum Kinematics {
     /// Roll, pitch and yaw, each blended by itself, as in the paper. Singular at a pitch of ±90°.
     Euler,
@@ -69,6 +71,7 @@ pub enum Kinematics {
 
 /// Which complementary filter to run.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct EstimatorParams {
     /// Coordinates.
     pub kinematics: Kinematics,

@@ -23,6 +23,7 @@ pub use request::{ArmBy, Requests};
 
 /// Which of a receiver's channels is what, counted from 0.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct ChannelMap {
     /// Throttle, roll, pitch, yaw.
     pub sticks: [u8; 4],

@@ -16,6 +16,7 @@ pub const SWITCH_OFF_TICKS: u16 = LOW_TICKS + (CENTRE_TICKS - LOW_TICKS) / 2;
 
 /// How a pilot arms and disarms.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub enum ArmBy {
     /// Throttle low and yaw full right; to disarm, full left.
     #[default]
