@@ -51,6 +51,9 @@ use panic_probe as _;
 #[cfg(feature = "qemu")]
 use panic_semihosting as _;
 
+/// Without it defmt compiles only errors in, and a silent firmware looks like a dead one.
+const _: () = assert!(option_env!("DEFMT_LOG").is_some(), ".cargo/config.toml sets DEFMT_LOG");
+
 defmt::timestamp!("{=u32:us}", board::now_us());
 
 // | task       | woken by                     | prio | rate      | deadline       | has                           |

@@ -6,13 +6,13 @@
 //! The end of reception is the end of the burst. Stream 0 raises DMA2_STREAM0 then, and after an error of its
 //! own; an error of the other stream shows as a burst that does not end.
 
-use core::sync::atomic::{AtomicU8, Ordering, fence};
+use core::sync::atomic::AtomicU8;
 
-use drivers::icm42688p::{BURST, FRAME_LEN, Frame};
+use drivers::icm42688p::{BURST, FRAME_LEN};
 use stm32f4xx_hal::pac::{DMA2, GPIOA, SPI1, dma2, gpioa, spi1};
 use stm32f4xx_hal::rcc::{Enable, Rcc};
 
-use crate::sampling::{Burst, BurstBus};
+use crate::sampling::{Burst, BurstBus, FrameBuffer};
 
 /// Flags of streams 0 and 3 in the lower interrupt registers.
 const RX_DONE: u32 = 1 << 5;
@@ -29,7 +29,7 @@ const TX: u32 = COMMON | 1 << 6 | 1;
 /// Looks at a stream that was told to stop: it finishes its byte first, a microsecond.
 const STOP_LOOKS: u32 = 200;
 
-// In RAM that DMA reaches: the linker puts no variable into the core-coupled memory (memory.x).
+// A variable, so that it is in RAM: what DMA sends, it need not fetch from flash.
 static SENT: [AtomicU8; FRAME_LEN] = {
     let mut sent = [const { AtomicU8::new(0) }; FRAME_LEN];
     let mut n = 0;
@@ -39,7 +39,7 @@ static SENT: [AtomicU8; FRAME_LEN] = {
     }
     sent
 };
-static RECEIVED: [AtomicU8; FRAME_LEN] = [const { AtomicU8::new(0) }; FRAME_LEN];
+static RECEIVED: FrameBuffer = FrameBuffer::new();
 
 fn dma() -> &'static dma2::RegisterBlock {
     // SAFETY: only this module uses DMA2.
@@ -97,7 +97,7 @@ impl<SPI> ImuBus<SPI> {
         unsafe {
             rx.par().write(|w| w.pa().bits(data));
             tx.par().write(|w| w.pa().bits(data));
-            rx.m0ar().write(|w| w.m0a().bits(RECEIVED.as_ptr() as u32));
+            rx.m0ar().write(|w| w.m0a().bits(RECEIVED.address()));
             tx.m0ar().write(|w| w.m0a().bits(SENT.as_ptr() as u32));
         }
         spi().cr2().modify(|_, w| w.rxdmaen().set_bit().txdmaen().set_bit());
@@ -117,9 +117,7 @@ impl<SPI> BurstBus for ImuBus<SPI> {
             return Burst::Running;
         }
         select(false);
-        fence(Ordering::Acquire);
-        let frame: Frame = RECEIVED.each_ref().map(|byte| byte.load(Ordering::Relaxed));
-        Burst::Done(frame)
+        Burst::Done(RECEIVED.read())
     }
 
     #[cold]

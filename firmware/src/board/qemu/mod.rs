@@ -27,18 +27,18 @@
 //! the pulses' conversion. Not in it is what only the flight board does: starting the burst, looking at its end,
 //! and waiting for room in the timers' period if there is none.
 
-use core::sync::atomic::{AtomicBool, AtomicU8, AtomicU32, Ordering};
+use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 
 use cortex_m::peripheral::SCB;
 use cortex_m_semihosting::debug::{self, EXIT_FAILURE};
-use drivers::icm42688p::{FRAME_LEN, Frame};
+use drivers::icm42688p::FRAME_LEN;
 use flight_core::arming::MotorPermit;
 use flight_core::esc::protocol::{Protocol, STOP_US};
 use flight_core::sample::ImuSample;
 use stm32f4xx_hal::pac::{self, Interrupt, TIM2, TIM3, TIM4, TIM5, interrupt};
 
 use super::{Board, PERIOD_US, listen};
-use crate::sampling::{self, Burst, BurstBus};
+use crate::sampling::{self, Burst, BurstBus, FrameBuffer};
 use crate::stm32f405::esc::Lines;
 
 #[cfg(feature = "hil-qemu")]
@@ -122,16 +122,17 @@ static CAME: AtomicU32 = AtomicU32::new(0);
 static WRITTEN: AtomicU32 = AtomicU32::new(0);
 
 /// The frame of the slot that comes next.
-static FRAME: [AtomicU8; FRAME_LEN] = [const { AtomicU8::new(0) }; FRAME_LEN];
+static FRAME: FrameBuffer = FrameBuffer::new();
 
 /// Prepares a slot: its frame as the sensor would send it, and the tick that brings the rest.
 fn play(sample: ImuSample) {
     let axes = sample.accel.into_iter().chain(sample.gyro).flat_map(i16::to_be_bytes);
     // The byte that comes with the address, the axes, two bytes of time, and the flag of a new sample.
-    let bytes = [0].into_iter().chain(axes).chain([0, 0, 0x08]);
-    for (place, byte) in FRAME.iter().zip(bytes) {
-        place.store(byte, Ordering::Relaxed);
+    let mut frame = [0; FRAME_LEN];
+    for (place, byte) in frame.iter_mut().zip([0].into_iter().chain(axes).chain([0, 0, 0x08])) {
+        *place = byte;
     }
+    FRAME.write(&frame);
     // SAFETY: the flight task, which also writes to TIM3, does not run now.
     unsafe { &*TIM3::ptr() }.egr().write(|w| w.ug().set_bit());
     SCB::set_pendst();
@@ -143,8 +144,7 @@ pub struct Frames;
 impl BurstBus for Frames {
     #[inline]
     fn look(&mut self) -> Burst {
-        let frame: Frame = FRAME.each_ref().map(|byte| byte.load(Ordering::Relaxed));
-        Burst::Done(frame)
+        Burst::Done(FRAME.read())
     }
 
     fn abort(&mut self) {}
