@@ -202,7 +202,14 @@ mod app {
         stream::spawn(sample.time_us, sample.imu, mag).ok();
         let attitude = controller.attitude();
         let sampled = sample.imu.is_some();
-        monitor.show(&Step { time_us: sample.time_us, sampled, state: output.state, attitude });
+        monitor.show(&Step {
+            time_us: sample.time_us,
+            sampled,
+            state: output.state,
+            event: output.event,
+            attitude,
+            missed_deadlines: watch::missed(),
+        });
         // A line that finds the last one still being written is dropped: the next one comes.
         if let Some(event) = output.event {
             announce::spawn(News::Arming(event)).ok();

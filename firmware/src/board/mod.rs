@@ -28,6 +28,7 @@
 
 use cortex_m::peripheral::NVIC;
 use flight_core::ArmState;
+use flight_core::arming::Event;
 use flight_core::geometry::Quaternion;
 use stm32f4xx_hal::pac::{Interrupt, NVIC_PRIO_BITS};
 
@@ -90,8 +91,12 @@ pub struct Step {
     pub sampled: bool,
     /// [`flight_core::Output::state`].
     pub state: ArmState,
+    /// What happened to the arm state, if anything did.
+    pub event: Option<Event>,
     /// The attitude after the step.
     pub attitude: Quaternion<f32>,
+    /// Deadlines that the tasks have missed since start.
+    pub missed_deadlines: u32,
 }
 
 /// Lets one of a board's own interrupts in, at [`SENSE_PRIORITY`].
