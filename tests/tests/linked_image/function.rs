@@ -73,6 +73,7 @@ pub fn analyse(image: &Image, start: u32, returning: &BTreeSet<u32>) -> Result<F
     let listing = listing(image, start);
     let mut function =
         Function { frame: 0, calls: Vec::new(), traps: Vec::new(), instructions: 0, returns: false };
+    let mut begins_anew = false;
     // Bytes of stack taken at each instruction.
     let mut depths = BTreeMap::from([(start, 0_u32)]);
     let mut open = vec![start];
@@ -88,14 +89,15 @@ pub fn analyse(image: &Image, start: u32, returning: &BTreeSet<u32>) -> Result<F
 
         let after = match instruction.stack {
             Stack::Keep => depth,
-            Stack::Grow(_) if conditional && instruction.flow == Flow::Next => {
-                return fail("sp moves under a condition");
-            }
+            _ if conditional && instruction.flow == Flow::Next => return fail("sp moves under a condition"),
             Stack::Grow(bytes) => match depth.checked_add_signed(bytes) {
                 Some(after) => after,
                 None => return fail("more is popped than was pushed"),
             },
-            Stack::BeginAnew => 0,
+            Stack::BeginAnew => {
+                begins_anew = true;
+                0
+            }
         };
         function.frame = function.frame.max(after);
 
@@ -170,6 +172,9 @@ pub fn analyse(image: &Image, start: u32, returning: &BTreeSet<u32>) -> Result<F
                 Some(_) => {}
             }
         }
+    }
+    if begins_anew && function.returns {
+        return Err(format!("{}: returns with a stack of its own", image.name(start)));
     }
     Ok(function)
 }

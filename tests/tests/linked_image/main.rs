@@ -1,4 +1,5 @@
 //! The flight board's image as it was linked: what its interrupt handlers can reach, and how much stack they take.
+//! With the default log level, errors only, and with everything logged, since that is more code.
 //!
 //! Two statements are read off the machine code, and hold for every input:
 //!
@@ -40,7 +41,7 @@ use std::path::Path;
 use std::process::Command;
 use std::sync::OnceLock;
 
-use function::Callee;
+use function::{Callee, Function};
 use image::Image;
 use program::{Depth, Program};
 
@@ -81,44 +82,49 @@ const SAVED_BYTES: u32 = 4 * (8 + 18 + 1);
 #[test]
 #[ignore = "builds the firmware for the board"]
 fn no_panic_can_be_reached_from_the_fast_loop() {
-    let image = flight_image();
-    let program = Program::new(image);
-    for root in FAST_LOOP {
-        check_free_of_panics(image, &program, root).unwrap_or_else(|why| panic!("{why}"));
-    }
-    // The largest part of the flight task is there, so the search did not end early.
-    let (_, instructions) = extent(&program, image.find("DMA2_STREAM0").unwrap());
-    assert!(instructions > 1_500, "{instructions} instructions in the flight task");
+    for (log, image) in flight_images() {
+        let program = Program::new(image);
+        for root in FAST_LOOP {
+            check_free_of_panics(image, &program, root).unwrap_or_else(|why| panic!("log {log}: {why}"));
+        }
+        // The largest part of the flight task is there, so the search did not end early.
+        let (functions, instructions) = extent(image, &program, image.find(FAST_LOOP[0]).unwrap());
+        assert!(instructions > 1_500, "log {log}: {instructions} instructions in the flight task");
+        println!(
+            "log {log}: no panic in {functions} functions, {instructions} instructions of {}",
+            FAST_LOOP[0]
+        );
 
-    // Bringing the board up can panic, and that is found.
-    let found = check_free_of_panics(image, &program, "Reset").unwrap_err();
-    assert!(found.contains("core::panicking"), "{found}");
-    println!("not in the fast loop: {found}");
+        // Bringing the board up can panic, and that is found.
+        let found = check_free_of_panics(image, &program, "Reset").unwrap_err();
+        assert!(found.contains("core::panicking::"), "{found}");
+    }
 }
 
 /// Whether `root` neither panics, nor runs into an undefined instruction, nor calls anything by a register.
 fn check_free_of_panics(image: &Image, program: &Program, root: &str) -> Result<(), String> {
     let start = image.find(root).ok_or(format!("{root} is not in the image"))?;
-    let mut reached = program.reached(start, |_| false);
-    if let Ok(reached) = &mut reached {
-        // Nearest first: the shortest chain says most.
-        let mut nearest: Vec<u32> = reached.keys().copied().collect();
-        nearest.sort_by_key(|&function| program.chain(reached, function).lines().count());
-        for function in nearest {
-            let chain = program.chain(reached, function);
-            if is_panic(image.name(function)) {
-                return Err(format!("a panic can be reached:\n  {chain}"));
-            }
-            if let Some(at) = program.function(function)?.traps.first() {
-                return Err(format!("an undefined instruction can be reached at {at:#x}:\n  {chain}"));
-            }
-            let mut calls = program.function(function)?.calls.iter();
-            if let Some(call) = calls.find(|call| matches!(call.callee, Callee::Register)) {
-                return Err(format!("a call by a register at {:#x}:\n  {chain}", call.at));
-            }
+    let reached = program.reached(start, |_| false)?;
+    // Nearest first: the shortest chain says most.
+    let mut nearest: Vec<(usize, u32)> = reached
+        .keys()
+        .map(|&function| (program.chain(&reached, function).lines().count(), function))
+        .collect();
+    nearest.sort_unstable();
+    for (_, function) in nearest {
+        let chain = program.chain(&reached, function);
+        if is_panic(image.name(function)) {
+            return Err(format!("a panic can be reached:\n  {chain}"));
+        }
+        let Function { traps, calls, .. } = program.function(function)?;
+        if let Some(at) = traps.first() {
+            return Err(format!("an undefined instruction can be reached at {at:#x}:\n  {chain}"));
+        }
+        if let Some(call) = calls.iter().find(|call| matches!(call.callee, Callee::Register)) {
+            return Err(format!("a call by a register at {:#x}:\n  {chain}", call.at));
         }
     }
-    reached.map(|_| ())
+    Ok(())
 }
 
 fn is_panic(name: &str) -> bool {
@@ -128,58 +134,57 @@ fn is_panic(name: &str) -> bool {
 #[test]
 #[ignore = "builds the firmware for the board"]
 fn the_stack_holds_the_worst_nesting_of_handlers() {
-    let image = flight_image();
-    let program = Program::new(image);
-    let depth_of = |name: &str| -> Depth {
-        let start = image.find(name).unwrap_or_else(|| panic!("{name} is not in the image"));
-        depth(image, &program, start).unwrap_or_else(|why| panic!("{why}"))
-    };
+    for (log, image) in flight_images() {
+        println!("log {log}");
+        let bound = stack_bound(image).unwrap_or_else(|why| panic!("log {log}: {why}"));
+        assert!(bound <= image.stack_bytes, "{bound} bytes of stack, and there are {}", image.stack_bytes);
+    }
+}
 
+/// The most stack that reset and the worst nesting of handlers take; prints how it comes about.
+fn stack_bound(image: &Image) -> Result<u32, String> {
+    let program = Program::new(image);
     // Every vector is accounted for. What has no handler of its own goes to the default one.
     let vectors: BTreeSet<&str> = image.vectors.iter().map(|&handler| image.name(handler)).collect();
-    let known = HANDLERS.map(|(name, _)| name);
-    let others = ["Reset", "HardFault", "DefaultHandler"];
-    assert_eq!(vectors, known.into_iter().chain(others).collect(), "the image's vectors, and the table's");
+    let handlers = HANDLERS.iter().map(|&(name, _)| name);
+    assert_eq!(
+        vectors,
+        handlers.chain(["Reset", "HardFault", "DefaultHandler"]).collect(),
+        "image, and table"
+    );
 
     println!("{:16} {:>8} {:>6} {:>12}   deepest calls", "root", "priority", "bytes", "instructions");
-    let show = |name: &str, priority: &str, depth: &Depth| {
-        let (functions, instructions) = extent(&program, image.find(name).unwrap());
+    let bytes_of = |name: &str, priority: &str| {
+        let start = image.find(name).unwrap();
+        let depth = depth(image, &program, start)?;
+        let (_, instructions) = extent(image, &program, start);
         let path: Vec<&str> = depth.path.iter().skip(1).map(|&function| image.name(function)).collect();
-        let path = path.join(" → ");
-        println!(
-            "{name:16} {priority:>8} {:>6} {instructions:>12}   {functions} functions; {path}",
-            depth.bytes
-        );
+        println!("{name:16} {priority:>8} {:>6} {instructions:>12}   {}", depth.bytes, path.join(" → "));
+        Ok::<u32, String>(depth.bytes)
     };
-    // From here to the idle task, which never ends: bringing the board up is the deepest of it. That runs with interrupts
-    // off, so the sum is more than can come together.
-    let base = depth_of("Reset");
-    show("Reset", "0", &base);
+    // From here on to the idle task, which never ends. Bringing the board up is the deepest of it, and runs with
+    // interrupts off, so the sum is more than can come together.
+    let base = bytes_of("Reset", "0")?;
     let mut levels: BTreeMap<u8, u32> = BTreeMap::new();
     let mut each_on_top = 0;
     for (name, priority) in HANDLERS {
-        let depth = depth_of(name);
-        show(name, &priority.to_string(), &depth);
+        let bytes = bytes_of(name, &priority.to_string())?;
         let level = levels.entry(priority).or_default();
-        *level = depth.bytes.max(*level);
-        each_on_top += SAVED_BYTES + depth.bytes;
+        *level = bytes.max(*level);
+        each_on_top += SAVED_BYTES + bytes;
     }
-    // The last level: an interrupt that nobody expected, or a fault. Neither comes back.
-    let last = depth_of("DefaultHandler");
-    show("DefaultHandler", "any", &last);
-    let fault = depth_of("HardFault");
-    show("HardFault", "fault", &fault);
-    let last = SAVED_BYTES + last.bytes.max(fault.bytes);
+    // Above all: an interrupt that nobody expected, or a fault. Neither comes back.
+    let last = SAVED_BYTES + bytes_of("DefaultHandler", "any")?.max(bytes_of("HardFault", "fault")?);
 
-    let bound = base.bytes + levels.values().map(|level| SAVED_BYTES + level).sum::<u32>() + last;
-    let without_priorities = base.bytes + each_on_top + last;
+    let bound = base + levels.values().map(|level| SAVED_BYTES + level).sum::<u32>() + last;
     println!(
-        "bound {bound} of {} bytes, {SAVED_BYTES} saved at each of {} interruptions among them; if each handler \
-         interrupted all others, {without_priorities}",
+        "bound {bound} of {} bytes, {SAVED_BYTES} of them for each of {} interruptions; if each handler interrupted \
+         all others, {}\n",
         image.stack_bytes,
         levels.len() + 1,
+        base + each_on_top + last,
     );
-    assert!(bound <= image.stack_bytes, "{bound} bytes of stack, and there are {}", image.stack_bytes);
+    Ok(bound)
 }
 
 /// The stack of `start`, up to where a panic begins.
@@ -188,28 +193,37 @@ fn depth(image: &Image, program: &Program, start: u32) -> Result<Depth, String> 
     program.depth(start, |function| is_panic(image.name(function)), nested)
 }
 
-/// Functions and instructions that can be reached.
-fn extent(program: &Program, root: u32) -> (usize, usize) {
-    let reached = program.reached(root, |_| false).unwrap();
-    (reached.len(), reached.keys().map(|&function| program.function(function).unwrap().instructions).sum())
+/// Functions and instructions that can be reached, without those of a panic.
+fn extent(image: &Image, program: &Program, root: u32) -> (usize, usize) {
+    let reached = program.reached(root, |function| is_panic(image.name(function))).unwrap();
+    let instructions: Vec<usize> = reached
+        .keys()
+        .filter(|&&function| !is_panic(image.name(function)))
+        .map(|&function| program.function(function).unwrap().instructions)
+        .collect();
+    (instructions.len(), instructions.iter().sum())
 }
 
-/// Builds the image once, in a target directory of its own: the outer build's is locked.
-fn flight_image() -> &'static Image {
-    static IMAGE: OnceLock<Image> = OnceLock::new();
-    IMAGE.get_or_init(|| {
-        let target = Path::new(env!("CARGO_TARGET_TMPDIR")).join("linked-image");
-        let status = Command::new(env::var_os("CARGO").as_deref().unwrap_or(OsStr::new("cargo")))
-            .current_dir(Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap())
-            .args(["build", "--release", "--package", "firmware", "--target", "thumbv7em-none-eabihf"])
-            .arg("--target-dir")
-            .arg(&target)
-            // These would replace the link arguments of .cargo/config.toml.
-            .env_remove("RUSTFLAGS")
-            .env_remove("CARGO_ENCODED_RUSTFLAGS")
-            .status()
-            .expect("cargo runs");
-        assert!(status.success(), "the image does not build");
-        Image::read(&target.join("thumbv7em-none-eabihf/release/firmware"))
-    })
+/// The images, and the log levels with which they are built: what is logged is chosen at build time, by
+/// `DEFMT_LOG`. They are built once, in a target directory of their own: the outer build's is locked.
+fn flight_images() -> &'static [(&'static str, Image)] {
+    static IMAGES: OnceLock<[(&str, Image); 2]> = OnceLock::new();
+    IMAGES.get_or_init(|| ["error", "trace"].map(|log| (log, flight_image(log))))
+}
+
+fn flight_image(log: &str) -> Image {
+    let target = Path::new(env!("CARGO_TARGET_TMPDIR")).join("linked-image");
+    let status = Command::new(env::var_os("CARGO").as_deref().unwrap_or(OsStr::new("cargo")))
+        .current_dir(Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap())
+        .args(["build", "--release", "--package", "firmware", "--target", "thumbv7em-none-eabihf"])
+        .arg("--target-dir")
+        .arg(&target)
+        .env("DEFMT_LOG", log)
+        // These would replace the link arguments of .cargo/config.toml.
+        .env_remove("RUSTFLAGS")
+        .env_remove("CARGO_ENCODED_RUSTFLAGS")
+        .status()
+        .expect("cargo runs");
+    assert!(status.success(), "the image does not build");
+    Image::read(&target.join("thumbv7em-none-eabihf/release/firmware"))
 }
