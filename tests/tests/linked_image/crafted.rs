@@ -1,9 +1,10 @@
-//! The analysis on instructions and small programs of which the result is known: above all, what it must refuse.
+//! The analysis on instructions and small programs of which the result is known: above all, what it must
+//! refuse.
 
 use crate::image::Image;
 use crate::program::Program;
 use crate::thumb::{Flow, Half, Stack, decode};
-use crate::{check_free_of_panics, depth};
+use crate::{FORMATTED_DEPTH, check_free_of_panics, depth};
 
 #[test]
 fn instructions_that_move_sp_or_pc_are_decoded() {
@@ -120,6 +121,19 @@ fn the_stack_adds_up_along_the_deepest_calls() {
     assert_eq!(stack(&[("root", &[PUSH, CALL_NEXT[0], CALL_NEXT[1], 0x46a5]), ("ends", &[FOREVER])]), Ok(8));
     // A conditional return: `it lo`, `poplo {r4, pc}`.
     assert_eq!(stack(&[("root", &[PUSH, 0xbf38, POP, POP])]), Ok(8));
+}
+
+#[test]
+fn a_call_by_a_register_reaches_what_the_image_has_the_address_of() {
+    // movw r3, #15; movt r3, #0; blx r3: the next function's address, marked as Thumb code.
+    let root = [PUSH, 0xf240, 0x030f, 0xf2c0, 0x0300, 0x4798, POP];
+    assert_eq!(stack(&[("root", &root), ("next", &[PUSH, 0xb084, 0xb004, POP])]), Ok(8 + 24));
+}
+
+#[test]
+fn formatting_may_call_itself_as_deep_as_values_are_nested() {
+    let within_itself = [PUSH, CALL_BACK[0], CALL_BACK[1], POP];
+    assert_eq!(stack(&[("core::fmt::write", &within_itself)]), Ok(8 * FORMATTED_DEPTH));
 }
 
 #[test]

@@ -29,8 +29,8 @@ pub struct Function {
     pub returns: bool,
 }
 
-/// A function's instructions by address, and whether each depends on the condition of an `it` block. What cannot
-/// be decoded matters only if a path gets there.
+/// A function's instructions by address, and whether each depends on the condition of an `it` block. What
+/// cannot be decoded matters only if a path gets there.
 type Listing = BTreeMap<u32, (Result<Instruction, &'static str>, bool)>;
 
 fn listing(image: &Image, start: u32) -> Listing {
@@ -179,9 +179,9 @@ pub fn analyse(image: &Image, start: u32, returning: &BTreeSet<u32>) -> Result<F
     Ok(function)
 }
 
-/// The targets of the jump table at `table`. Literals may follow it without a mark between. So it is read until
-/// the first of its targets, or the first entry that leads to no instruction of the function. A literal that looks like
-/// one more entry adds a path and hides none.
+/// The targets of the jump table at `table`. Literals may follow it without a mark between. So it is read
+/// until the first of its targets, or the first entry that leads to no instruction of the function. A literal
+/// that looks like one more entry adds a path and hides none.
 fn jump_table(image: &Image, listing: &Listing, table: u32, entry: u32) -> Vec<u32> {
     let mut targets = Vec::new();
     let mut first = u32::MAX;

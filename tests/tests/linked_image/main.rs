@@ -1,20 +1,20 @@
-//! The flight board's image as it was linked: what its interrupt handlers can reach, and how much stack they take.
-//! With the default log level, errors only, and with everything logged, since that is more code.
+//! The flight board's image as it was linked: what its interrupt handlers can reach, and how much stack they
+//! take. With the default log level, errors only, and with everything logged, since that is more code.
 //!
 //! Two statements are read off the machine code, and hold for every input:
 //!
-//! - **No panic can be reached from the fast loop.** From each handler in [`FAST_LOOP`], all calls are followed.
-//!   None leads to a function of [`PANICS`], none to an undefined instruction, and none goes by a register, so that
-//!   all of them are seen. That the search finds panics is checked on the same image: bringing the board up may
-//!   panic, and does so on a setting that is out of range.
+//! - **No panic can be reached from the fast loop.** From each handler in [`FAST_LOOP`], all calls are
+//!   followed. None leads to a function of [`PANICS`], none to an undefined instruction, and none goes by a
+//!   register, so that all of them are seen. That the search finds panics is checked on the same image:
+//!   bringing the board up may panic, and does so on a setting that is out of range.
 //! - **The stack holds the worst nesting of handlers.** Each path through each function is followed with the
-//!   depth of the stack at each instruction; a path must come back with the stack pointer with which it began. The
-//!   deepest path of calls from reset, and from the worst handler of each priority in [`HANDLERS`], are added up, with
-//!   the registers that the processor saves at each interruption.
+//!   depth of the stack at each instruction; a path must come back with the stack pointer with which it
+//!   began. The deepest path of calls from reset, and from the worst handler of each priority in
+//!   [`HANDLERS`], are added up, with the registers that the processor saves at each interruption.
 //!
 //! Whatever is not understood is an error and not skipped: an instruction that writes `sp` or `pc` in a way
-//! that `thumb.rs` does not know, a jump into the middle of a function, a cycle of calls, a vector that is not in
-//! [`HANDLERS`].
+//! that `thumb.rs` does not know, a jump into the middle of a function, a cycle of calls, a vector that is
+//! not in [`HANDLERS`].
 //!
 //! # What this does not show
 //! - That the compiler's code is reached at all, or in time: endless loops, and waiting, are not panics.
@@ -25,8 +25,9 @@
 //!   others needs none of them, and is printed beside.
 //! - How deep values that are formatted are nested: [`FORMATTED_DEPTH`] is taken from their types.
 //!
-//! A call by a register is taken to reach any function whose address occurs in the image, in data or in a pair of
-//! `movw` and `movt`. An address that is computed otherwise would be missed, and the compiler makes none.
+//! A call by a register is taken to reach any function whose address occurs in the image, in data or in a
+//! pair of `movw` and `movt`. An address that is computed otherwise would be missed, and the compiler makes
+//! none.
 
 mod crafted;
 mod function;
@@ -48,9 +49,9 @@ use program::{Depth, Program};
 /// The handlers between a sample and the motors' pulses: the flight task, and what wakes it.
 const FAST_LOOP: [&str; 3] = ["DMA2_STREAM0", "EXTI4", "TIM5"];
 
-/// The RTIC priority of each handler. Tasks: `#[task]` in `firmware/src/main.rs`; asynchronous tasks run in the
-/// vector of the dispatcher of their priority, of which the lowest comes first in `dispatchers`. The board's own
-/// interrupts: `SENSE_PRIORITY` in `firmware/src/board/mod.rs`.
+/// The RTIC priority of each handler. Tasks: `#[task]` in `firmware/src/main.rs`; asynchronous tasks run in
+/// the vector of the dispatcher of their priority, of which the lowest comes first in `dispatchers`. The
+/// board's own interrupts: `SENSE_PRIORITY` in `firmware/src/board/mod.rs`.
 const HANDLERS: [(&str, u8); 4] = [
     ("CRYP", 1),         // announce, health
     ("DMA2_STREAM0", 4), // flight
@@ -71,8 +72,9 @@ const PANICS: [&str; 9] = [
     "defmt::export::panic",
 ];
 
-/// How many values within values the log formats through `core::fmt`, whose functions call each other in cycles: an
-/// error of the inertial sensor, in it the bus's, in it the peripheral's; and one for the reference around it.
+/// How many values within values the log formats through `core::fmt`, whose functions call each other in
+/// cycles: an error of the inertial sensor, in it the bus's, in it the peripheral's; and one for the
+/// reference around it.
 const FORMATTED_DEPTH: u32 = 4;
 
 /// What the processor saves when an interrupt comes: 8 words, 18 of the floating-point unit (for which it
@@ -162,8 +164,8 @@ fn stack_bound(image: &Image) -> Result<u32, String> {
         println!("{name:16} {priority:>8} {:>6} {instructions:>12}   {}", depth.bytes, path.join(" → "));
         Ok::<u32, String>(depth.bytes)
     };
-    // From here on to the idle task, which never ends. Bringing the board up is the deepest of it, and runs with
-    // interrupts off, so the sum is more than can come together.
+    // From here on to the idle task, which never ends. Bringing the board up is the deepest of it, and runs
+    // with interrupts off, so the sum is more than can come together.
     let base = bytes_of("Reset", "0")?;
     let mut levels: BTreeMap<u8, u32> = BTreeMap::new();
     let mut each_on_top = 0;
@@ -177,13 +179,8 @@ fn stack_bound(image: &Image) -> Result<u32, String> {
     let last = SAVED_BYTES + bytes_of("DefaultHandler", "any")?.max(bytes_of("HardFault", "fault")?);
 
     let bound = base + levels.values().map(|level| SAVED_BYTES + level).sum::<u32>() + last;
-    println!(
-        "bound {bound} of {} bytes, {SAVED_BYTES} of them for each of {} interruptions; if each handler interrupted \
-         all others, {}\n",
-        image.stack_bytes,
-        levels.len() + 1,
-        base + each_on_top + last,
-    );
+    println!("bound {bound} of {} bytes; {SAVED_BYTES} of them for each interruption", image.stack_bytes);
+    println!("if each handler interrupted all others, {}\n", base + each_on_top + last);
     Ok(bound)
 }
 

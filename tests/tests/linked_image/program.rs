@@ -94,8 +94,8 @@ impl<'a> Program<'a> {
         names.collect::<Vec<_>>().into_iter().rev().collect::<Vec<_>>().join("\n  → ")
     }
 
-    /// The most stack that `root` takes, up to where one of `ends` is called. A cycle of calls is an error, unless
-    /// `nested` has a bound on how often each function of it can be under way at once.
+    /// The most stack that `root` takes, up to where one of `ends` is called. A cycle of calls is an error,
+    /// unless `nested` has a bound on how often each function of it can be under way at once.
     pub fn depth(
         &self,
         root: u32,

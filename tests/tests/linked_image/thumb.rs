@@ -1,8 +1,8 @@
 //! What an ARMv7E-M instruction does to the program counter and to the stack pointer, and nothing else.
 //!
-//! The encodings are those of the ARMv7-M Architecture Reference Manual (ARM DDI 0403), chapters A5 and A6. Every
-//! class that can write a core register is checked for writing `sp` or `pc`; a way of doing so that is not known
-//! here is an error, and so is an encoding that the manual does not give to this core.
+//! The encodings are those of the ARMv7-M Architecture Reference Manual (ARM DDI 0403), chapters A5 and A6.
+//! Every class that can write a core register is checked for writing `sp` or `pc`; a way of doing so that is
+//! not known here is an error, and so is an encoding that the manual does not give to this core.
 
 use std::ops::Not as _;
 
