@@ -61,9 +61,7 @@ fn five_seconds_on_the_board_equal_the_host_bit_for_bit() {
 /// The most instructions from the entry of the interrupt that brings a sample to the motors' last compare value, in
 /// the whole image: the tasks' entry and locks, the sensor's frame, arming and failsafe are in it.
 ///
-/// The goal is 2,000, with the 10 that only the flight board has. All steps but two keep it, with 1,940 at most:
-/// that in which the vehicle is armed, and that in which the throttle goes up, both with a receiver frame and a field
-/// in the same millisecond.
+/// The bound is 2,000, with the 10 that only the flight board has.
 const SAMPLE_TO_MOTORS: u32 = 1_990;
 
 /// The same table, stepped here.

@@ -52,11 +52,14 @@ const FAST_LOOP: [&str; 3] = ["DMA2_STREAM0", "EXTI4", "TIM5"];
 /// The RTIC priority of each handler. Tasks: `#[task]` in `firmware/src/main.rs`; asynchronous tasks run in
 /// the vector of the dispatcher of their priority, of which the lowest comes first in `dispatchers`. The
 /// board's own interrupts: `SENSE_PRIORITY` in `firmware/src/board/mod.rs`.
-const HANDLERS: [(&str, u8); 4] = [
-    ("CRYP", 1),         // announce, health
+const HANDLERS: [(&str, u8); 7] = [
+    ("CRYP", 1),         // compass
+    ("DCMI", 2),         // supply, health, announce
+    ("SysTick", 3),      // tick
     ("DMA2_STREAM0", 4), // flight
     ("EXTI4", 5),        // data ready
     ("TIM5", 5),         // sample overdue
+    ("USART2", 5),       // receive
 ];
 
 /// Where a panic begins: beginnings of names.
