@@ -194,10 +194,11 @@ pub enum FrameError {
 /// # Errors
 /// See [`FrameError`].
 pub fn decode(frame: &Frame, risen: bool) -> Result<ImuSample, FrameError> {
-    // The first byte comes while the address goes out.
+    // The first byte comes while the address goes out: it is the lowest of these 128 bits, and does not count.
+    let silent = u128::from_le_bytes(*frame) >> 8 == 0;
     let [_, answer @ ..] = frame;
     let status = frame[STATUS_AT];
-    if answer.iter().all(|&byte| byte == 0) || status & RESERVED != 0 {
+    if silent || status & RESERVED != 0 {
         return Err(FrameError::NoAnswer);
     }
     if status & RESET_DONE_INT != 0 {

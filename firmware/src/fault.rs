@@ -2,7 +2,9 @@
 //!
 //! The PWM timers go on by themselves: without this, a fault in flight would leave the motors at their last
 //! pulse. Every way out of the program ends here: a panic (its handler ends in an undefined instruction), a
-//! fault, a stack that has run out of its region, an interrupt that has no handler.
+//! fault, a stack that has run out of its region, an interrupt that has no handler, a flight task that hangs
+//! ([`crate::sampling`]). Then nobody feeds the watchdog, and within two seconds the board starts anew, with its
+//! outputs stopped and its arm state saying so.
 
 use core::arch::naked_asm;
 
@@ -30,7 +32,8 @@ unsafe fn DefaultHandler(_irqn: i16) -> ! {
     stop()
 }
 
-extern "C" fn stop() -> ! {
+/// Stops the motors, and nothing else happens until the watchdog resets the board.
+pub extern "C" fn stop() -> ! {
     // An unexpected interrupt comes at its own priority, and the flight task must not run again.
     cortex_m::interrupt::disable();
     board::stop_outputs();

@@ -2,10 +2,12 @@
 //!
 //! # What happens in a millisecond
 //! ```text
-//!        0 µs      the inertial sensor raises its data-ready line; the board's interrupt notes the time
-//!                  and wakes `flight`
-//!                  flight: reads the sample, steps the flight controller, hands pulses and permit to the
-//!                  outputs
+//!        0 µs      the inertial sensor raises its data-ready line: the board's interrupt notes the time and
+//!                  starts a burst of DMA
+//!       13 µs      the burst is done, and its vector is that of `flight`: sample and inbox to the flight
+//!                  controller, pulses and permit to the outputs
+//!     any time     `tick`: the bytes that the receiver has sent; starts what is due of `supply`, `compass`,
+//!                  `health`
 //!                  idle: sleeps
 //!    1,000 µs      the next sample
 //! ```
@@ -15,20 +17,33 @@
 //! # Who may do what
 //! Whether the motors turn is decided in one place, `flight_core::arming`, which hands out a `MotorPermit`
 //! with each step in which they may. `Outputs::drive` takes that permit by value, and nothing else writes a
-//! pulse other than the stop pulse. A panic, a fault or an interrupt that nobody expected stops the motors
-//! ([`fault`]).
+//! pulse other than the stop pulse. A panic, a fault, an interrupt that nobody expected, and a flight task that
+//! does not end its run stop the motors ([`fault`]). The watchdog is fed in one place, `supply`, and only if
+//! every periodic task is on time ([`watch`]).
 //!
 //! # Two boards, one set of tasks
-//! The tasks below are the same on the flight board and on QEMU; what differs lies in [`board`].
+//! The tasks below are the same on the flight board and on QEMU; what differs lies in [`board`]. With the feature
+//! `bench` the outputs are never driven, and every sample is logged.
+//!
+//! `docs/timing.md` has each task's worst time and what follows from it.
 #![no_std]
 #![no_main]
 #![warn(missing_docs)]
 
+#[cfg(feature = "bench")]
+mod bench;
 mod board;
-#[cfg(not(feature = "qemu"))]
 mod clock;
+#[cfg(not(feature = "qemu"))]
+mod compass;
 mod fault;
+mod inbox;
+#[cfg(not(feature = "qemu"))]
+mod pilot;
+mod sampling;
+mod stm32f405;
 mod tally;
+mod watch;
 
 use defmt_rtt as _;
 #[cfg(not(feature = "qemu"))]
@@ -36,49 +51,110 @@ use panic_probe as _;
 #[cfg(feature = "qemu")]
 use panic_semihosting as _;
 
+/// Without it defmt compiles only errors in, and a silent firmware looks like a dead one.
+const _: () = assert!(option_env!("DEFMT_LOG").is_some(), ".cargo/config.toml sets DEFMT_LOG");
+
 defmt::timestamp!("{=u32:us}", board::now_us());
 
-// | task          | woken by                         | priority | rate       | owns                         |
-// |---------------|----------------------------------|----------|------------|------------------------------|
-// | (board's own) | data ready; sample overdue       | 5        | 1 kHz      | the note of what woke it     |
-// | `flight`      | DMA2_STREAM0, pended by those    | 4        | 1 kHz      | flight controller, sensors,  |
-// |               |                                  |          |            | outputs, monitor, tally      |
-// | `announce`    | `flight`, when arming changes    | 1        | rare       | its argument                 |
-// | `health`      | `flight`, every 1,000th step     | 1        | 1 Hz       | its argument                 |
-// | `idle`        |                                  | 0        |            |                              |
+// | task       | woken by                     | prio | rate      | deadline       | has                           |
+// |------------|------------------------------|------|-----------|----------------|-------------------------------|
+// | (board's)  | EXTI4: data ready            | 5    | 1 kHz     | –              | the time, the burst           |
+// | (board's)  | TIM5: sample overdue         | 5    | ≤ 1 kHz   | –              | the time                      |
+// | `receive`  | USART2: a byte               | 5    | ≤ 42 kHz  | the next byte  | ear                           |
+// | `flight`   | DMA2_STREAM0: burst done, or | 4    | 1 kHz     | 1 ms           | flight controller, sampler,   |
+// |            | pended when overdue          |      |           |                | outputs, monitor; inbox, watch|
+// | `tick`     | SysTick                      | 3    | 1 kHz     | 1 ms           | radio; inbox, watch           |
+// | `supply`   | `tick`, every 20th           | 2    | 50 Hz     | 20 ms          | supply, watchdog; inbox, watch|
+// | `health`   | `tick`, every 1,000th        | 2    | 1 Hz      | 1 s            | watch                         |
+// | `announce` | whoever has news             | 2    | rare      | –              | its argument                  |
+// | `stream`   | `flight`, feature `bench`    | 2    | 1 kHz     | –              | its argument                  |
+// | `compass`  | `tick`, every 5th            | 1    | 200 Hz    | 5 ms           | compass; inbox, watch         |
+// | `idle`     |                              | 0    |           |                |                               |
 //
-// Nothing is shared, so nothing is ever locked. Priority 1 is dispatched through CRYP, the vector of a
-// peripheral that the F405 does not have.
-#[rtic::app(device = stm32f4xx_hal::pac, peripherals = true, dispatchers = [CRYP])]
+// `inbox` and `watch` are shared under RTIC's priority ceiling, which is 4: a lock holds `flight` up for some
+// dozens of instructions, and priority 5, which takes the times, never. The dispatchers are the vectors of
+// peripherals that the F405 does not have.
+#[rtic::app(device = stm32f4xx_hal::pac, peripherals = true, dispatchers = [CRYP, DCMI])]
 mod app {
-    use flight_core::FlightController;
     use flight_core::arming::Event;
+    use flight_core::sample::Health;
+    use flight_core::watchdog::Deadline;
+    use flight_core::{FlightController, Input};
 
-    use crate::board::{self, Board, Monitor, Outputs, Sensors, Step};
-    use crate::tally::{Report, Tally};
+    use crate::board::{self, Board, Compass, Ear, Monitor, Outputs, Radio, Sampler, Step, Supply, Watchdog};
+    use crate::inbox::Inbox;
+    use crate::sampling;
+    use crate::tally::TALLY;
+    use crate::watch::{self, COMPASS_TICKS, HEALTH_TICKS, SUPPLY_TICKS, Task, Watch};
+
+    /// The outputs are locked, because people are about.
+    const BENCH: bool = cfg!(feature = "bench");
+
+    /// News for the log.
+    pub enum News {
+        /// The arm state has changed, or a request was refused.
+        Arming(Event),
+        /// This task was late.
+        Missed(Task),
+    }
 
     #[shared]
-    struct Shared {}
+    struct Shared {
+        inbox: Inbox,
+        watch: Watch,
+    }
 
     #[local]
     struct Local {
         controller: FlightController,
-        sensors: Sensors,
+        sampler: Sampler,
         outputs: Outputs,
         monitor: Monitor,
-        tally: Tally,
+        ear: Ear,
+        radio: Radio,
+        supply: Supply,
+        compass: Compass,
+        watchdog: Watchdog,
+        watchdog_reset: bool,
+        ticks: u32,
+        ticked_us: u32,
     }
 
     #[init]
     fn init(cx: init::Context) -> (Shared, Local) {
-        let Board { sensors, outputs, monitor } = board::init(cx.core, cx.device);
+        let board = board::init(cx.core, cx.device);
         let controller = match FlightController::new(&board::config()) {
             Ok(controller) => controller,
             // Its numbers go without a word: formatting floats takes a third of the flash that there is.
             Err(error) => panic!("configuration: {} is out of range", error.field),
         };
-        defmt::info!("kestrel {=str} on {=str}", env!("CARGO_PKG_VERSION"), board::NAME);
-        (Shared {}, Local { controller, sensors, outputs, monitor, tally: Tally::default() })
+        defmt::info!(
+            "kestrel {=str} on {=str}, reset by {=str}",
+            env!("CARGO_PKG_VERSION"),
+            board::NAME,
+            board.reset_by
+        );
+        if BENCH {
+            defmt::info!("bench: the outputs are locked");
+        }
+        let Board {
+            sampler, outputs, monitor, ear, radio, supply, compass, watchdog, watchdog_reset, ..
+        } = board;
+        let local = Local {
+            controller,
+            sampler,
+            outputs,
+            monitor,
+            ear,
+            radio,
+            supply,
+            compass,
+            watchdog,
+            watchdog_reset,
+            ticks: 0,
+            ticked_us: board::now_us(),
+        };
+        (Shared { inbox: Inbox::default(), watch: Watch::new() }, local)
     }
 
     #[idle]
@@ -88,43 +164,159 @@ mod app {
         }
     }
 
-    #[task(binds = DMA2_STREAM0, priority = 4, local = [controller, sensors, outputs, monitor, tally])]
-    fn flight(cx: flight::Context) {
-        let flight::LocalResources { controller, sensors, outputs, monitor, tally, .. } = cx.local;
-        let began_us = board::now_us();
-        let Some(input) = sensors.take() else { return };
+    #[task(binds = USART2, priority = 5, local = [ear])]
+    fn receive(cx: receive::Context) {
+        cx.local.ear.hear();
+    }
 
-        let output = controller.step(&input);
+    #[task(
+        binds = DMA2_STREAM0, priority = 4, shared = [inbox, watch],
+        local = [controller, sampler, outputs, monitor, watchdog_reset]
+    )]
+    fn flight(cx: flight::Context) {
+        let flight::LocalResources { controller, sampler, outputs, monitor, watchdog_reset, .. } = cx.local;
+        let flight::SharedResources { mut inbox, mut watch, .. } = cx.shared;
+        let Some(sample) = sampler.take(board::now_us()) else { return };
+
+        let Inbox { rc, mag, battery } = inbox.lock(core::mem::take);
+        let output = controller.step(&Input {
+            time_us: sample.time_us,
+            imu: sample.imu,
+            mag,
+            rc,
+            battery,
+            bench: None,
+            health: Health {
+                usb: BENCH,
+                maintenance: false,
+                watchdog_reset: *watchdog_reset,
+                missed_deadlines: watch::missed(),
+            },
+        });
         match output.permit {
-            Some(permit) => outputs.drive(permit, output.pulses_us),
-            None => outputs.stop(),
+            Some(permit) if !BENCH => outputs.drive(permit, output.pulses_us),
+            _ => outputs.stop(),
         }
 
-        let sampled = input.imu.is_some();
+        #[cfg(feature = "bench")]
+        stream::spawn(sample.time_us, sample.imu, mag).ok();
         let attitude = controller.attitude();
-        monitor.show(&Step { time_us: input.time_us, sampled, state: output.state, attitude });
+        let sampled = sample.imu.is_some();
+        monitor.show(&Step {
+            time_us: sample.time_us,
+            sampled,
+            state: output.state,
+            event: output.event,
+            attitude,
+            missed_deadlines: watch::missed(),
+        });
         // A line that finds the last one still being written is dropped: the next one comes.
         if let Some(event) = output.event {
-            announce::spawn(event).ok();
+            announce::spawn(News::Arming(event)).ok();
         }
-        let busy_us = board::now_us().wrapping_sub(began_us);
-        if let Some(report) = tally.count(sampled, busy_us) {
-            health::spawn(report).ok();
+
+        let now_us = board::now_us();
+        let took_us = now_us.wrapping_sub(sample.woken_us);
+        TALLY.longest_us.most(took_us);
+        let deadline = if took_us <= board::PERIOD_US { Deadline::Met } else { Deadline::Missed };
+        if watch.lock(|watch| watch.check_in(Task::Flight, deadline, now_us)) {
+            announce::spawn(News::Missed(Task::Flight)).ok();
+        }
+        sampling::served();
+    }
+
+    #[task(binds = SysTick, priority = 3, shared = [inbox, watch], local = [radio, ticks, ticked_us])]
+    fn tick(cx: tick::Context) {
+        let tick::LocalResources { radio, ticks, ticked_us, .. } = cx.local;
+        let tick::SharedResources { mut inbox, mut watch, .. } = cx.shared;
+
+        while let Some(frame) = radio.poll() {
+            inbox.lock(|inbox| inbox.rc = Some(frame));
+        }
+        let mut miss = |task| {
+            if watch.lock(|watch| watch.miss(task)) {
+                announce::spawn(News::Missed(task)).ok();
+            }
+        };
+        // What is still at its last run has missed the deadline of that.
+        if ticks.is_multiple_of(COMPASS_TICKS) && compass::spawn().is_err() {
+            miss(Task::Compass);
+        }
+        if ticks.is_multiple_of(SUPPLY_TICKS) && supply::spawn().is_err() {
+            miss(Task::Supply);
+        }
+        if ticks.is_multiple_of(HEALTH_TICKS) && health::spawn().is_err() {
+            miss(Task::Health);
+        }
+        *ticks = ticks.wrapping_add(1);
+
+        let now_us = board::now_us();
+        // A tick that comes so long after the last has swallowed one.
+        let late = now_us.wrapping_sub(*ticked_us) > board::OVERDUE_US;
+        *ticked_us = now_us;
+        let deadline = if late { Deadline::Missed } else { Deadline::Met };
+        if watch.lock(|watch| watch.check_in(Task::Tick, deadline, now_us)) {
+            announce::spawn(News::Missed(Task::Tick)).ok();
         }
     }
 
-    #[task(priority = 1)]
-    async fn announce(_: announce::Context, event: Event) {
-        let (from, to, cause) = (event.from.name(), event.to.name(), event.cause.text());
-        if event.is_refusal() {
-            defmt::warn!("refused: {=str}", cause);
-        } else {
-            defmt::info!("{=str} -> {=str}: {=str}", from, to, cause);
+    #[task(priority = 2, shared = [inbox, watch], local = [supply, watchdog])]
+    async fn supply(cx: supply::Context) {
+        let supply::LocalResources { supply, watchdog, .. } = cx.local;
+        let supply::SharedResources { mut inbox, mut watch, .. } = cx.shared;
+        if let Some(battery) = supply.measure() {
+            TALLY.battery_mv.set((battery.voltage_v * 1.0e3) as u32);
+            inbox.lock(|inbox| inbox.battery = Some(battery));
+        }
+        let on_time = watch.lock(|watch| {
+            let now_us = board::now_us();
+            watch.check_in(Task::Supply, Deadline::Met, now_us);
+            watch.may_feed(now_us)
+        });
+        match on_time {
+            Ok(()) => watchdog.feed(),
+            Err(late) => defmt::warn!("watchdog not fed, late: {=u32:b}", late.bits()),
         }
     }
 
-    #[task(priority = 1)]
-    async fn health(_: health::Context, report: Report) {
-        defmt::info!("{}", report);
+    #[task(priority = 2, shared = [watch])]
+    async fn health(mut cx: health::Context) {
+        cx.shared.watch.lock(|watch| {
+            watch.check_in(Task::Health, Deadline::Met, board::now_us());
+            watch.begin_report();
+        });
+        TALLY.log(watch::missed());
+    }
+
+    #[task(priority = 2)]
+    async fn announce(_: announce::Context, news: News) {
+        match news {
+            News::Missed(task) => defmt::warn!("deadline missed: {=str}", task.name()),
+            News::Arming(event) if event.is_refusal() => defmt::warn!("refused: {=str}", event.cause.text()),
+            News::Arming(event) => {
+                let (from, to) = (event.from.name(), event.to.name());
+                defmt::info!("{=str} -> {=str}: {=str}", from, to, event.cause.text());
+            }
+        }
+    }
+
+    #[cfg(feature = "bench")]
+    #[task(priority = 2)]
+    async fn stream(
+        _: stream::Context,
+        time_us: u64,
+        imu: Option<flight_core::sample::ImuSample>,
+        mag: Option<flight_core::sample::MagSample>,
+    ) {
+        crate::bench::log(time_us, imu, mag);
+    }
+
+    #[task(priority = 1, shared = [inbox, watch], local = [compass])]
+    async fn compass(cx: compass::Context) {
+        let compass::SharedResources { mut inbox, mut watch, .. } = cx.shared;
+        if let Some(mag) = cx.local.compass.run() {
+            inbox.lock(|inbox| inbox.mag = Some(mag));
+        }
+        watch.lock(|watch| watch.check_in(Task::Compass, Deadline::Met, board::now_us()));
     }
 }

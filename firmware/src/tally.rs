@@ -1,37 +1,103 @@
-//! Counts of the flight task's last second, for the health line.
+//! Counts since the last health line, one for each thing that a person may want to know of.
+//!
+//! Every task counts without asking: each count is an atomic of its own. Two that belong together may come in two
+//! different lines, which is all right for people.
 
-use crate::board::PERIOD_US;
+use core::sync::atomic::{AtomicU32, Ordering};
 
-/// Steps from one report to the next: a second.
-const STEPS_PER_REPORT: u32 = 1_000_000 / PERIOD_US;
-
-/// Counts since the last report.
+/// A count, or the largest of some values.
 #[derive(Default)]
-pub struct Tally {
-    steps: u32,
-    missing: u32,
-    busiest_us: u32,
+pub struct Count(AtomicU32);
+
+impl Count {
+    const fn new() -> Self {
+        Self(AtomicU32::new(0))
+    }
+
+    /// One more.
+    pub fn add(&self) {
+        self.add_all(1);
+    }
+
+    /// So many more.
+    pub fn add_all(&self, more: u32) {
+        self.0.fetch_add(more, Ordering::Relaxed);
+    }
+
+    /// `value`, if it is the largest so far.
+    pub fn most(&self, value: u32) {
+        self.0.fetch_max(value, Ordering::Relaxed);
+    }
+
+    /// `value`, whatever came before.
+    pub fn set(&self, value: u32) {
+        self.0.store(value, Ordering::Relaxed);
+    }
+
+    fn take(&self) -> u32 {
+        self.0.swap(0, Ordering::Relaxed)
+    }
 }
 
-/// What a second came to.
-#[derive(Clone, Copy, defmt::Format)]
-pub struct Report {
-    /// Steps that ran without an inertial sample.
-    pub missing: u32,
-    /// The longest time that the flight task took, from waking to done, µs.
-    pub busiest_us: u32,
+/// All of them.
+pub struct Tally {
+    /// Inertial samples that did not come within 1.5 periods.
+    pub lost: Count,
+    /// Those that came while the one before was still being read or worked on.
+    pub late: Count,
+    /// Reads that brought the same sample again.
+    pub repeated: Count,
+    /// Those that the sensor itself marked as no measurement.
+    pub invalid: Count,
+    /// Reads that failed on the bus.
+    pub unreadable: Count,
+    /// Longest time from what woke `flight` to its end, µs.
+    pub longest_us: Count,
+    /// Magnetometer samples.
+    pub mag: Count,
+    /// Accesses to the magnetometer that failed.
+    pub mag_errors: Count,
+    /// Receiver frames.
+    pub rc: Count,
+    /// Receiver frames that were damaged.
+    pub rc_bad: Count,
+    /// Battery, mV, as last measured.
+    pub battery_mv: Count,
 }
+
+/// The counts.
+pub static TALLY: Tally = Tally {
+    lost: Count::new(),
+    late: Count::new(),
+    repeated: Count::new(),
+    invalid: Count::new(),
+    unreadable: Count::new(),
+    longest_us: Count::new(),
+    mag: Count::new(),
+    mag_errors: Count::new(),
+    rc: Count::new(),
+    rc_bad: Count::new(),
+    battery_mv: Count::new(),
+};
 
 impl Tally {
-    /// Counts a step; every thousandth returns the report.
-    pub fn count(&mut self, sampled: bool, busy_us: u32) -> Option<Report> {
-        self.steps += 1;
-        self.missing += u32::from(!sampled);
-        self.busiest_us = self.busiest_us.max(busy_us);
-        if self.steps < STEPS_PER_REPORT {
-            return None;
-        }
-        let Self { missing, busiest_us, .. } = core::mem::take(self);
-        Some(Report { missing, busiest_us })
+    /// Writes the health line, and begins anew. `missed`: deadlines missed since start.
+    pub fn log(&self, missed: u32) {
+        defmt::info!(
+            "imu lost {=u32} late {=u32} repeated {=u32} invalid {=u32} unreadable {=u32}, flight {=u32} us, \
+             mag {=u32} errors {=u32}, rc {=u32} bad {=u32}, battery {=u32} mV, missed {=u32}",
+            self.lost.take(),
+            self.late.take(),
+            self.repeated.take(),
+            self.invalid.take(),
+            self.unreadable.take(),
+            self.longest_us.take(),
+            self.mag.take(),
+            self.mag_errors.take(),
+            self.rc.take(),
+            self.rc_bad.take(),
+            self.battery_mv.take(),
+            missed,
+        );
     }
 }

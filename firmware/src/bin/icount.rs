@@ -28,10 +28,11 @@ use flight_core::estimator::{Estimator, EstimatorParams};
 use flight_core::geometry::Vec3;
 use flight_core::mixer::{Mixer, Saturation, Wrench};
 use flight_core::prefilter::{Biquad, Prefilter};
-use flight_core::rc::{FlightMode, Sticks};
+use flight_core::rc::{CENTRE_TICKS, FlightMode, Sticks};
 use flight_core::sample::RcFrame;
 use flight_core::{ConfigError, FlightController, Input, Output, Params};
 use panic_semihosting as _;
+use receiver::{Protocol, Receiver};
 use stm32f4xx_hal::pac::{Peripherals, TIM2};
 
 /// Inputs of a stage: the table's first in flight.
@@ -46,6 +47,7 @@ fn main() -> ! {
     let mut gauge = Gauge { timer: peripherals.TIM2, overhead: 0 };
     gauge.calibrate();
     kernels(&mut gauge);
+    receivers(&mut gauge);
     if let Err(error) = stages(&mut gauge).and_then(|()| steps(&mut gauge)).and_then(|()| attitudes()) {
         panic!("{error}");
     }
@@ -130,6 +132,52 @@ fn kernels(gauge: &mut Gauge) {
     gauge.stage("atan2", angles(), |x| atan2(*x, 1.0 - *x));
     gauge.stage("sqrt", angles(), |x| sqrt(x.abs()));
     gauge.stage("wrap_pi", angles(), |x| wrap_pi(3.0 * *x));
+}
+
+/// What `tick` does for each byte of the receiver: centred sticks in both protocols, over and over; and for CRSF
+/// the worst that can come, beginnings of frames that all end with the same byte, and none of which is one.
+fn receivers(gauge: &mut Gauge) {
+    let packed = pack(&[CENTRE_TICKS; 16]);
+    let mut crsf = [0; 26];
+    crsf[..3].copy_from_slice(&[0xc8, 24, 0x16]);
+    crsf[3..25].copy_from_slice(&packed);
+    crsf[25] = crc(&crsf[2..25]);
+    let mut sbus = [0; 25];
+    sbus[0] = 0x0f;
+    sbus[1..23].copy_from_slice(&packed);
+    let nested: [u8; 64] = core::array::from_fn(|n| if n % 2 == 0 { 0xc8 } else { 63 - n as u8 });
+
+    for (name, protocol, bytes, pause_us) in [
+        ("receiver CRSF byte", Protocol::Crsf, &crsf[..], 4_000),
+        ("receiver SBUS byte", Protocol::Sbus, &sbus[..], 7_000),
+        ("receiver CRSF byte at worst", Protocol::Crsf, &nested[..], 4_000),
+    ] {
+        let mut receiver = Receiver::new(protocol);
+        let times = (0..2_600).map(|n| (n, (n / bytes.len() * pause_us + n % bytes.len() * 24) as u64));
+        let inputs = times.map(|(n, time_us)| (bytes[n % bytes.len()], time_us));
+        gauge.stage(name, inputs, |(byte, time_us)| push(&mut receiver, *byte, *time_us));
+    }
+}
+
+#[inline(never)]
+fn push(receiver: &mut Receiver, byte: u8, time_us: u64) -> Option<receiver::Frame> {
+    receiver.push(byte, time_us)
+}
+
+/// 16 channels of 11 bits, the lowest bit first.
+fn pack(channels: &[u16; 16]) -> [u8; 22] {
+    let mut packed = [0; 22];
+    for bit in 0..176 {
+        packed[bit / 8] |= ((channels[bit / 11] >> (bit % 11) & 1) as u8) << (bit % 8);
+    }
+    packed
+}
+
+/// CRC-8/DVB-S2.
+fn crc(bytes: &[u8]) -> u8 {
+    bytes.iter().fold(0, |crc, byte| {
+        (0..8).fold(crc ^ byte, |crc, _| crc << 1 ^ if crc & 0x80 != 0 { 0xd5 } else { 0 })
+    })
 }
 
 /// A slot's three sensors in SI, calibrated and prefiltered.

@@ -4,25 +4,31 @@
 //! |---|---|
 //! | `init(core, device) -> Board` | brings the board up, outputs first and at the stop pulse |
 //! | `config() -> Config` | what the flight controller is built from: how the sensors are mounted |
-//! | `Sensors::take() -> Option<Input>` | the next step's input; `None` if the wake-up was a false one |
+//! | `Sampler` | [`crate::sampling::Sampler`] on the board's bus |
 //! | `Outputs::drive(permit, pulses_us)` | sends pulses of rotors 1 to 4; takes the permit by value |
 //! | `Outputs::stop()` | sends the stop pulse to all four |
+//! | `Ear::hear()` | takes a byte from the receiver |
+//! | `Radio::poll() -> Option<RcFrame>` | the next frame that the bytes so far have completed |
+//! | `Supply::measure() -> Option<Battery>` | the battery, without waiting |
+//! | `Compass::run() -> Option<MagSample>` | the magnetometer's new sample; may wait, for less than 5 ms |
+//! | `Watchdog::feed()` | another second |
 //! | `Monitor::show(&Step)` | what the board shows of a step: a light, or a record |
-//! | `now_us() -> u32` | free-running microseconds, for measuring spans |
+//! | `now_us() -> u32` | free-running microseconds |
 //! | `stop_outputs()` | `Outputs::stop` for a fault, when nothing else runs any more |
 //! | `halt() -> !` | the end, after a fault |
 //!
-//! # Waking the flight task
-//! RTIC binds a task to one interrupt vector, and takes no vector that depends on the board. So the flight
-//! task is bound to [`WAKE_FLIGHT`], and each board pends that from its own interrupts: when a sample is
-//! ready, and when 1.5 periods have passed since the last one. A dead sensor thus ages in the flight
-//! controller, and does not stop it.
+//! # Waking the tasks
+//! RTIC binds a task to one interrupt vector, and takes no vector that depends on the board. So the flight task
+//! is bound to [`WAKE_FLIGHT`], which is the end of the sensor's DMA burst on a flight board, and which each board
+//! also pends when 1.5 periods have passed since the last sample. A dead sensor thus ages in the flight
+//! controller, and does not stop it. The `tick` task is bound to SysTick, once a millisecond.
 //!
-//! A board's own interrupt handlers only note what happened and when. They have a higher priority than any
-//! task ([`SENSE_PRIORITY`]), so that a time is not late because a task runs.
+//! A board's own interrupt handlers note what happened and when, and call [`crate::sampling`]. They have a higher
+//! priority than any other but `receive` ([`SENSE_PRIORITY`]), so that a time is not late because a task runs.
 
 use cortex_m::peripheral::NVIC;
 use flight_core::ArmState;
+use flight_core::arming::Event;
 use flight_core::geometry::Quaternion;
 use stm32f4xx_hal::pac::{Interrupt, NVIC_PRIO_BITS};
 
@@ -44,7 +50,7 @@ compile_error!("choose a board: speedybee-f405-v4 or qemu");
 /// The vector that the flight task is bound to.
 pub const WAKE_FLIGHT: Interrupt = Interrupt::DMA2_STREAM0;
 
-/// RTIC priority (larger is more urgent) of a board's own interrupts. Tasks have lower ones.
+/// RTIC priority (larger is more urgent) of a board's own interrupts. Tasks have this one or a lower one.
 pub const SENSE_PRIORITY: u8 = 5;
 
 /// Time from one inertial sample to the next, µs: the rate of [`flight_core::Params::default`].
@@ -55,12 +61,26 @@ pub const OVERDUE_US: u32 = PERIOD_US + PERIOD_US / 2;
 
 /// The board's parts, each of which one task owns.
 pub struct Board {
-    /// Where a step's input comes from.
-    pub sensors: Sensors,
+    /// Where samples come from.
+    pub sampler: Sampler,
     /// The way to the motors.
     pub outputs: Outputs,
     /// What the board shows of a step.
     pub monitor: Monitor,
+    /// The receiver's bytes.
+    pub ear: Ear,
+    /// The receiver's frames.
+    pub radio: Radio,
+    /// The battery.
+    pub supply: Supply,
+    /// The magnetometer.
+    pub compass: Compass,
+    /// What restarts the board if it is not fed.
+    pub watchdog: Watchdog,
+    /// What has started it, for people.
+    pub reset_by: &'static str,
+    /// It was the watchdog.
+    pub watchdog_reset: bool,
 }
 
 /// A finished step, for [`Monitor::show`].
@@ -71,15 +91,19 @@ pub struct Step {
     pub sampled: bool,
     /// [`flight_core::Output::state`].
     pub state: ArmState,
+    /// What happened to the arm state, if anything did.
+    pub event: Option<Event>,
     /// The attitude after the step.
     pub attitude: Quaternion<f32>,
+    /// Deadlines that the tasks have missed since start.
+    pub missed_deadlines: u32,
 }
 
 /// Lets one of a board's own interrupts in, at [`SENSE_PRIORITY`].
 fn listen(nvic: &mut NVIC, interrupt: Interrupt) {
     let level = ((1 << NVIC_PRIO_BITS) - SENSE_PRIORITY) << (8 - NVIC_PRIO_BITS);
-    // SAFETY: the priority is above every task's, so no lock of a task's is relied on to keep the handler
-    // out; the handlers share nothing with tasks but atomics.
+    // SAFETY: the priority is above that of every task that locks anything, so no lock is relied on to keep the
+    // handler out; the handlers share nothing with tasks but atomics.
     unsafe {
         nvic.set_priority(interrupt, level);
         NVIC::unmask(interrupt);

@@ -2,51 +2,70 @@
 //!
 //! Pins, timers and mounting are as two independent projects have them, which agree:
 //! - Betaflight, `betaflight/config`: `configs/SPEEDYBEEF405V4/config.h`
-//! - ArduPilot, `ArduPilot/ardupilot`: `libraries/AP_HAL_ChibiOS/hwdef/speedybeef4v4/hwdef.dat`
+//! - ArduPilot, `ArduPilot/ardupilot`: `libraries/AP_HAL_ChibiOS/hwdef/speedybeef4v4/hwdef.dat` and `README.md`
 //!
 //! | what | pins | by |
 //! |---|---|---|
-//! | inertial sensor | SCK PA5, MISO PA6, MOSI PA7, CS PA4 | SPI1, 10.5 MHz, mode 3 |
+//! | inertial sensor | SCK PA5, MISO PA6, MOSI PA7, CS PA4 | SPI1, 10.5 MHz, mode 3; DMA2 streams 0, 3 |
 //! | its data ready | PC4 | EXTI4, rising edge |
-//! | motor pads M1, M2 | PB6, PB7 | TIM4 channels 1, 2 |
-//! | motor pads M3, M4 | PB0, PB1 | TIM3 channels 3, 4 |
+//! | motor pads M1, M2 | PB6, PB7 | TIM4 channels 1, 2; DMA1 stream 6 |
+//! | motor pads M3, M4 | PB0, PB1 | TIM3 channels 3, 4; DMA1 stream 2 |
+//! | receiver: pad R2, and pad SBUS behind an inverter | PA3 | USART2 |
+//! | magnetometer | SCL PB8, SDA PB9 | I2C1 |
+//! | battery, ÷ 11 | PC0 | ADC1 channel 10 |
 //! | light | PC13, lit when low | |
 //! | time, and the deadline | – | TIM5 at 1 MHz, compare channel 1 |
+//! | tick | – | SysTick |
 //!
-//! `docs/hardware.md` has the pins that are not used yet, and how to wire the rest.
-
-use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
+//! `docs/hardware.md` has the pins that are not used, and how to wire the rest.
 
 use cortex_m::peripheral::NVIC;
-use drivers::icm42688p::{self, Icm42688p};
+use cortex_m::peripheral::syst::SystClkSource;
+use cortex_m::singleton;
+use drivers::icm42688p::Icm42688p;
+use embedded_hal::delay::DelayNs;
 use embedded_hal::spi::MODE_3;
 use embedded_hal_bus::spi::{ExclusiveDevice, NoDelay};
 use flight_core::arming::MotorPermit;
 use flight_core::calibration::Sensitivity;
-use flight_core::esc::protocol::{STOP_US, pwm_counts};
+use flight_core::esc::protocol::{Protocol, STOP_US};
 use flight_core::geometry::{Mat3, vec3};
-use flight_core::sample::Health;
-use flight_core::{Config, Input, Params};
+use flight_core::sample::{MagSample, RcFrame};
+use flight_core::{ArmState, Calibration, Config, Params};
 use stm32f4xx_hal::gpio::{self, Edge, PinState, Speed};
 use stm32f4xx_hal::pac::{self, Interrupt, SPI1, TIM3, TIM4, TIM5, interrupt};
 use stm32f4xx_hal::prelude::*;
 use stm32f4xx_hal::rcc::{self, Enable};
 use stm32f4xx_hal::spi::Spi;
-use stm32f4xx_hal::timer::ErasedChannel;
 
 use super::{Board, OVERDUE_US, PERIOD_US, Step, WAKE_FLIGHT, listen};
 use crate::clock::Clock;
+use crate::pilot::Pilot;
+use crate::sampling;
+use crate::stm32f405::burst::{self, ImuBus};
+use crate::stm32f405::bus::{self, Bus};
+use crate::stm32f405::esc::Lines;
+pub use crate::stm32f405::port::Ear;
+use crate::stm32f405::port::{self, Bytes, Port};
+use crate::stm32f405::reset::Cause;
+pub use crate::stm32f405::reset::Watchdog;
+pub use crate::stm32f405::supply::Supply;
+use crate::tally::TALLY;
 
 /// The board's name.
 pub const NAME: &str = "SpeedyBee F405 V4";
 
-/// Pulses a second on each output: the 2,500 µs from one start to the next hold the longest pulse.
-const PULSE_RATE_HZ: u32 = 400;
-/// Counts of the pulse timers in a microsecond: their 84 MHz over 4, the smallest divider with which 2,500 µs
-/// fit into 16 bits.
-const PULSE_COUNTS_PER_US: f32 = 21.0;
-/// Counts of a pulse timer from one pulse to the next.
-const PULSE_PERIOD_COUNTS: u16 = 52_500;
+/// What the ESCs are driven with: to be chosen for the ESC (`docs/hardware.md`).
+const ESC: Protocol = Protocol::Pwm { rate_hz: 400.0 };
+
+/// What was measured on this vehicle's sensors. Without it the firmware does not arm.
+const CALIBRATION: Option<Calibration> = None;
+
+/// Divider from the battery to its pin, and the pin's ADC channel.
+const BATTERY_RATIO: f32 = 11.0;
+const BATTERY_CHANNEL: u8 = 10;
+
+const LINES: Lines = Lines::new(ESC);
 
 /// Datasheet sensitivities, and the sensor turned as it is on this board: its x points right, its y forward,
 /// its z up.
@@ -55,34 +74,44 @@ pub fn config() -> Config {
     let mounting = Mat3 { rows: [vec3(0.0, 1.0, 0.0), vec3(1.0, 0.0, 0.0), vec3(0.0, 0.0, -1.0)] };
     params.gyro = Sensitivity { mounting, ..params.gyro };
     params.accel = Sensitivity { mounting, ..params.accel };
-    Config { params, calibration: None }
+    Config { params, calibration: CALIBRATION }
 }
 
 /// Brings the board up: clocks, then the stop pulse on the outputs, then everything else.
 pub fn init(mut core: cortex_m::Peripherals, device: pac::Peripherals) -> Board {
+    let watchdog = Watchdog::start(device.IWDG);
     let clocks = rcc::Config::hse(8.MHz()).sysclk(168.MHz()).hclk(168.MHz()).pclk1(42.MHz()).pclk2(84.MHz());
     let mut rcc = device.RCC.freeze(clocks);
+    let reset = Cause::take(&mut rcc);
     let gpioa = device.GPIOA.split(&mut rcc);
     let gpiob = device.GPIOB.split(&mut rcc);
     let gpioc = device.GPIOC.split(&mut rcc);
 
-    let (_, (m1, m2, ..)) = device.TIM4.pwm_hz(PULSE_RATE_HZ.Hz(), &mut rcc);
-    let (_, (_, _, m3, m4)) = device.TIM3.pwm_hz(PULSE_RATE_HZ.Hz(), &mut rcc);
-    let mut outputs = Outputs {
-        m1: m1.with(gpiob.pb6).erase(),
-        m2: m2.with(gpiob.pb7).erase(),
-        m3: m3.with(gpiob.pb0).erase(),
-        m4: m4.with(gpiob.pb1).erase(),
-    };
-    outputs.stop();
-    outputs.enable();
+    TIM3::enable(&mut rcc);
+    TIM4::enable(&mut rcc);
+    pac::DMA1::enable(&mut rcc);
+    LINES.start();
+    gpiob.pb6.into_alternate::<2>();
+    gpiob.pb7.into_alternate::<2>();
+    gpiob.pb0.into_alternate::<2>();
+    gpiob.pb1.into_alternate::<2>();
 
-    // While a debug probe halts the core, the pulses stop too, and without pulses an ESC stops its motor. And
-    // the probe can read the log while the core sleeps.
-    device.DBGMCU.apb1_fz().modify(|_, w| w.dbg_tim3_stop().set_bit().dbg_tim4_stop().set_bit());
+    // While a debug probe halts the core, the pulses stop too, and without pulses an ESC stops its motor; and the
+    // watchdog waits. And the probe can read the log while the core sleeps.
+    device
+        .DBGMCU
+        .apb1_fz()
+        .modify(|_, w| w.dbg_tim3_stop().set_bit().dbg_tim4_stop().set_bit().dbg_iwdg_stop().set_bit());
     device.DBGMCU.cr().modify(|_, w| w.dbg_sleep().set_bit());
 
     let light = gpioc.pc13.into_push_pull_output_in_state(PinState::High);
+
+    // TIM5 counts 84 MHz down to microseconds; the first deadline is set when everything else is.
+    TIM5::enable(&mut rcc);
+    let prescaler = rcc.clocks.timclk1().raw() / 1_000_000 - 1;
+    device.TIM5.psc().write(|w| w.psc().set(prescaler as u16));
+    device.TIM5.egr().write(|w| w.ug().set_bit());
+    device.TIM5.cr1().write(|w| w.cen().set_bit());
 
     let spi = Spi::new(
         device.SPI1,
@@ -98,26 +127,25 @@ pub fn init(mut core: cortex_m::Peripherals, device: pac::Peripherals) -> Board 
     );
     let select = gpioa.pa4.into_push_pull_output_in_state(PinState::High);
     let Ok(spi) = ExclusiveDevice::new_no_delay(spi, select);
-    let mut delay = core.SYST.delay(&rcc.clocks);
-    let imu = match Icm42688p::new(spi, &mut delay) {
-        Ok(imu) => Some(imu),
+    let spi = match Icm42688p::new(spi, &mut Wait) {
+        Ok(imu) => Some(imu.release()),
         Err(error) => {
             // The flight task runs all the same, and refuses to arm.
             defmt::error!("inertial sensor: {}", defmt::Debug2Format(&error));
             None
         }
     };
+    let sampler = Sampler::new(ImuBus::new(spi, device.DMA2, &mut rcc));
 
-    // TIM5 counts 84 MHz down to microseconds; the first deadline is set before the first sample.
-    TIM5::enable(&mut rcc);
-    let prescaler = rcc.clocks.timclk1().raw() / 1_000_000 - 1;
-    device.TIM5.psc().write(|w| w.psc().set(prescaler as u16));
-    device.TIM5.egr().write(|w| w.ug().set_bit());
-    device.TIM5.ccr1().write(|w| w.ccr().set(OVERDUE_US));
-    device.TIM5.sr().write(|w| w.cc1if().clear_bit());
-    device.TIM5.dier().write(|w| w.cc1ie().set_bit());
-    device.TIM5.cr1().write(|w| w.cen().set_bit());
-    listen(&mut core.NVIC, Interrupt::TIM5);
+    gpioa.pa3.into_alternate::<7>().set_internal_resistor(gpio::Pull::Up);
+    let bytes = singleton!(: Bytes = Bytes::new()).expect("init runs once");
+    let (ear, port) = port::open(device.USART2, bytes, Pilot::FIRST.line(), &mut rcc);
+    let radio = Radio { port, pilot: Pilot::new(config().params.channels), clock: Clock::new(), damaged: 0 };
+
+    gpioc.pc0.into_analog();
+    let supply = Supply::new(device.ADC1, &device.ADC_COMMON, BATTERY_CHANNEL, BATTERY_RATIO, &mut rcc);
+    let bus = Bus::new(device.I2C1, gpiob.pb8, gpiob.pb9, &mut rcc);
+    let compass = Compass(crate::compass::Compass::new(bus));
 
     let mut exti = device.EXTI;
     let mut data_ready = gpioc.pc4.into_pull_down_input();
@@ -125,8 +153,28 @@ pub fn init(mut core: cortex_m::Peripherals, device: pac::Peripherals) -> Board 
     data_ready.trigger_on_edge(&mut exti, Edge::Rising);
     data_ready.enable_interrupt(&mut exti);
     listen(&mut core.NVIC, Interrupt::EXTI4);
+    expect_sample_by(now_us().wrapping_add(OVERDUE_US));
+    tim5().dier().write(|w| w.cc1ie().set_bit());
+    listen(&mut core.NVIC, Interrupt::TIM5);
 
-    Board { sensors: Sensors { imu, clock: Clock::default() }, outputs, monitor: Monitor { light, steps: 0 } }
+    core.SYST.set_clock_source(SystClkSource::Core);
+    core.SYST.set_reload(rcc.clocks.sysclk().raw() / (1_000_000 / PERIOD_US) - 1);
+    core.SYST.clear_current();
+    core.SYST.enable_counter();
+    core.SYST.enable_interrupt();
+
+    Board {
+        sampler,
+        outputs: Outputs(()),
+        monitor: Monitor { light, steps: 0 },
+        ear,
+        radio,
+        supply,
+        compass,
+        watchdog,
+        reset_by: reset.name(),
+        watchdog_reset: reset == Cause::Watchdog,
+    }
 }
 
 /// Free-running microseconds.
@@ -135,16 +183,27 @@ pub fn now_us() -> u32 {
 }
 
 fn tim5() -> &'static pac::tim5::RegisterBlock {
-    // SAFETY: after `init` nobody owns TIM5. Its counter is only read, and its compare channel 1 is used by
-    // the two interrupt handlers below alone, which cannot preempt each other.
+    // SAFETY: nobody owns TIM5 after `init`, and the two handlers that write to it have the same priority.
     unsafe { &*TIM5::ptr() }
 }
 
-// What woke the flight task: written by the handlers below, taken by `Sensors::take`.
-static SAMPLE_READY: AtomicBool = AtomicBool::new(false);
-static SAMPLE_READY_US: AtomicU32 = AtomicU32::new(0);
-static SAMPLE_OVERDUE: AtomicBool = AtomicBool::new(false);
-static SAMPLE_OVERDUE_US: AtomicU32 = AtomicU32::new(0);
+/// Waits by TIM5, for those who may.
+pub struct Wait;
+
+impl DelayNs for Wait {
+    fn delay_ns(&mut self, ns: u32) {
+        let began_us = now_us();
+        // One more, because the first has begun already.
+        let us = ns.div_ceil(1_000).saturating_add(1);
+        while now_us().wrapping_sub(began_us) < us {}
+    }
+}
+
+/// Sets the deadline, and forgets that of the sample that has come.
+fn expect_sample_by(us: u32) {
+    tim5().ccr1().write(|w| w.ccr().set(us));
+    tim5().sr().write(|w| w.cc1if().clear_bit());
+}
 
 /// The sensor has a sample.
 #[interrupt]
@@ -152,120 +211,121 @@ fn EXTI4() {
     let ready_us = now_us();
     // SAFETY: this register's bits are cleared by writing ones, so that nothing else is touched.
     unsafe { &*pac::EXTI::ptr() }.pr().write(|w| w.pr4().clear_bit_by_one());
-    tim5().ccr1().write(|w| w.ccr().set(ready_us.wrapping_add(OVERDUE_US)));
-    SAMPLE_READY_US.store(ready_us, Ordering::Relaxed);
-    SAMPLE_READY.store(true, Ordering::Release);
-    NVIC::pend(WAKE_FLIGHT);
+    expect_sample_by(ready_us.wrapping_add(OVERDUE_US));
+    if sampling::ready(ready_us, burst::running()) {
+        burst::start();
+    } else {
+        NVIC::pend(WAKE_FLIGHT);
+    }
 }
 
 /// The sensor's next sample is overdue.
 #[interrupt]
 fn TIM5() {
+    // The sample may have come while this waited for its turn.
+    if tim5().sr().read().cc1if().bit_is_clear() {
+        return;
+    }
     let overdue_us = now_us();
-    tim5().sr().write(|w| w.cc1if().clear_bit());
-    tim5().ccr1().write(|w| w.ccr().set(overdue_us.wrapping_add(PERIOD_US)));
-    SAMPLE_OVERDUE_US.store(overdue_us, Ordering::Relaxed);
-    SAMPLE_OVERDUE.store(true, Ordering::Release);
+    expect_sample_by(overdue_us.wrapping_add(PERIOD_US));
+    sampling::overdue(overdue_us);
     NVIC::pend(WAKE_FLIGHT);
 }
 
-type Imu = Icm42688p<ExclusiveDevice<Spi<SPI1>, gpio::PA4<gpio::Output>, NoDelay>>;
+/// The inertial sensor, by DMA.
+pub type Sampler = sampling::Sampler<ImuBus<ExclusiveDevice<Spi<SPI1>, gpio::PA4<gpio::Output>, NoDelay>>>;
 
-/// The inertial sensor, and the time.
-pub struct Sensors {
-    imu: Option<Imu>,
+/// The receiver.
+pub struct Radio {
+    port: Port,
+    pilot: Pilot,
     clock: Clock,
+    damaged: u32,
 }
 
-impl Sensors {
-    /// The next step's input, or `None` if there is nothing to do: the wake-up that brought an overdue sample
-    /// together with its deadline is followed by an empty one.
-    pub fn take(&mut self) -> Option<Input> {
-        let ready = SAMPLE_READY.swap(false, Ordering::Acquire);
-        let overdue = SAMPLE_OVERDUE.swap(false, Ordering::Acquire);
-        let (at_us, imu) = if ready {
-            // An unreadable sample is a missing one.
-            let frame = self.imu.as_mut().and_then(|imu| imu.read_frame().ok());
-            let risen = SAMPLE_READY.load(Ordering::Acquire);
-            let sample = frame.and_then(|frame| icm42688p::decode(&frame, risen).ok());
-            (SAMPLE_READY_US.load(Ordering::Relaxed), sample)
-        } else if overdue {
-            (SAMPLE_OVERDUE_US.load(Ordering::Relaxed), None)
-        } else {
-            return None;
-        };
-        Some(Input {
-            time_us: self.clock.extend(at_us),
-            imu,
-            mag: None,
-            rc: None,
-            battery: None,
-            bench: None,
-            health: Health::default(),
-        })
+impl Radio {
+    /// The next frame that the bytes so far have completed.
+    pub fn poll(&mut self) -> Option<RcFrame> {
+        let now_us = self.clock.at(now_us());
+        while let Some((at_us, heard)) = self.port.next() {
+            let found = self.pilot.found();
+            let frame = self.pilot.hear(heard, self.clock.at(at_us));
+            if found.is_none()
+                && let Some(protocol) = self.pilot.found()
+            {
+                defmt::info!("receiver found: {}", defmt::Debug2Format(&protocol));
+            }
+            if frame.is_some() {
+                TALLY.rc.add();
+                return frame;
+            }
+        }
+        let damaged = self.pilot.damaged();
+        TALLY.rc_bad.add_all(damaged.saturating_sub(self.damaged));
+        self.damaged = damaged;
+        if let Some(line) = self.pilot.search(now_us) {
+            self.port.set(line);
+        }
+        None
+    }
+}
+
+/// The magnetometer.
+pub struct Compass(crate::compass::Compass<Bus>);
+
+impl Compass {
+    /// The new sample, if there is one.
+    pub fn run(&mut self) -> Option<MagSample> {
+        bus::begin_run();
+        self.0.run(&mut Wait)
     }
 }
 
 /// The four motor pads.
-pub struct Outputs {
-    m1: ErasedChannel<TIM4>,
-    m2: ErasedChannel<TIM4>,
-    m3: ErasedChannel<TIM3>,
-    m4: ErasedChannel<TIM3>,
-}
+pub struct Outputs(());
 
 impl Outputs {
     /// Sends pulses of rotors 1 to 4. The permit is used up: a step has one, and it moves the motors once.
+    #[inline]
     pub fn drive(&mut self, permit: MotorPermit, pulses_us: [f32; 4]) {
-        self.write(permit.apply(pulses_us, STOP_US));
+        send(permit.apply(pulses_us, STOP_US));
     }
 
     /// Sends the stop pulse to all four.
+    #[inline]
     pub fn stop(&mut self) {
-        self.write([STOP_US; 4]);
-    }
-
-    /// The output map. A 4-in-1 ESC plugged into this board has motor 1 at the rear right, 2 at the front
-    /// right, 3 at the rear left and 4 at the front left; rotors are counted clockwise from the front left.
-    fn write(&mut self, pulses_us: [f32; 4]) {
-        let [front_left, front_right, rear_right, rear_left] =
-            pulses_us.map(|us| pwm_counts(us, PULSE_COUNTS_PER_US));
-        self.m4.set_duty(front_left);
-        self.m2.set_duty(front_right);
-        self.m1.set_duty(rear_right);
-        self.m3.set_duty(rear_left);
-    }
-
-    fn enable(&mut self) {
-        assert_eq!(self.m1.get_max_duty(), PULSE_PERIOD_COUNTS);
-        assert_eq!(self.m3.get_max_duty(), PULSE_PERIOD_COUNTS);
-        self.m1.enable();
-        self.m2.enable();
-        self.m3.enable();
-        self.m4.enable();
+        stop_outputs();
     }
 }
 
-/// [`Outputs::stop`], from a fault: the stop pulse follows at the end of the pulse period, by hardware alone.
+/// The output map. A 4-in-1 ESC plugged into this board has motor 1 at the rear right, 2 at the front right, 3 at
+/// the rear left and 4 at the front left; rotors are counted clockwise from the front left.
+#[inline]
+fn send([front_left, front_right, rear_right, rear_left]: [f32; 4]) {
+    LINES.send([rear_right, front_right, rear_left, front_left]);
+}
+
+/// [`Outputs::stop`], from a fault: what follows is done by hardware alone.
 pub fn stop_outputs() {
-    let stop = pwm_counts(STOP_US, PULSE_COUNTS_PER_US);
-    // SAFETY: interrupts are off and the fault does not return, so the owner of the timers does not run any
-    // more. Before `init` the timers have no clock, and the writes go nowhere.
-    let (tim3, tim4) = unsafe { (&*TIM3::ptr(), &*TIM4::ptr()) };
-    tim4.ccr1().write(|w| w.ccr().set(stop));
-    tim4.ccr2().write(|w| w.ccr().set(stop));
-    tim3.ccr3().write(|w| w.ccr().set(stop));
-    tim3.ccr4().write(|w| w.ccr().set(stop));
+    send([STOP_US; 4]);
 }
 
-/// Stays here; the timers go on sending the stop pulse.
+/// Stays here until the watchdog resets the board; until then PWM goes on with the stop pulse, and the other
+/// protocols are silent.
 pub fn halt() -> ! {
     loop {
         cortex_m::asm::nop();
     }
 }
 
-/// The light: lit while armed, a short flash a second while disarmed, a fast blink while samples are missing.
+/// The light.
+///
+/// | light | meaning |
+/// |---|---|
+/// | fast blink (5 Hz) | no inertial samples |
+/// | lit | the motors turn, or may |
+/// | slow blink (1 Hz) | terminated: disarm first |
+/// | a short flash a second | disarmed, or in a state on the ground |
 pub struct Monitor {
     light: gpio::PC13<gpio::Output>,
     steps: u32,
@@ -273,10 +333,13 @@ pub struct Monitor {
 
 impl Monitor {
     /// Shows a step.
+    #[inline]
     pub fn show(&mut self, step: &Step) {
         self.steps = self.steps.wrapping_add(1);
         let lit = if !step.sampled {
             self.steps % 200 < 100
+        } else if step.state == ArmState::Terminated {
+            self.steps % 1_000 < 500
         } else {
             step.state.flies() || self.steps % 1_000 < 50
         };

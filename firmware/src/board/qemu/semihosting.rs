@@ -1,0 +1,63 @@
+//! Two named pipes in the emulator's working directory, by semihosting.
+
+use core::ffi::CStr;
+
+use cortex_m_semihosting::{nr, syscall};
+
+const DOWN: &CStr = c"hil-down.fifo";
+const UP: &CStr = c"hil-up.fifo";
+
+/// The pipes' handles.
+pub struct Transport {
+    down: usize,
+    up: usize,
+    /// Bytes that have come, and those of them that are still to be looked at.
+    bytes: [u8; 256],
+    next: usize,
+    end: usize,
+}
+
+impl Transport {
+    /// Opens both pipes, and waits for the other end of each.
+    pub fn open() -> Self {
+        Self {
+            down: open(DOWN, nr::open::R_BINARY),
+            up: open(UP, nr::open::W_TRUNC_BINARY),
+            bytes: [0; 256],
+            next: 0,
+            end: 0,
+        }
+    }
+
+    /// Gives bytes to `take`, waiting for them, until it returns something.
+    pub fn receive<T>(&mut self, mut take: impl FnMut(u8) -> Option<T>) -> T {
+        loop {
+            while self.next < self.end {
+                let byte = self.bytes[self.next];
+                self.next += 1;
+                if let Some(found) = take(byte) {
+                    return found;
+                }
+            }
+            // SAFETY: the length is that of the buffer.
+            let left = unsafe { syscall!(READ, self.down, self.bytes.as_mut_ptr(), self.bytes.len()) };
+            // A pipe brings what there is, which is no more than was asked for.
+            (self.next, self.end) = (0, self.bytes.len().saturating_sub(left));
+            assert_ne!(self.end, 0, "the host has closed {DOWN:?}");
+        }
+    }
+
+    /// Sends all of it.
+    pub fn send(&mut self, bytes: &[u8]) {
+        // SAFETY: the length is that of the bytes.
+        let left = unsafe { syscall!(WRITE, self.up, bytes.as_ptr(), bytes.len()) };
+        assert_eq!(left, 0, "bytes that the host did not take");
+    }
+}
+
+fn open(name: &CStr, mode: usize) -> usize {
+    // SAFETY: the name is terminated, and its length given.
+    let handle = unsafe { syscall!(OPEN, name.as_ptr(), mode, name.count_bytes()) };
+    assert_ne!(handle, usize::MAX, "the host does not let {name:?} be opened");
+    handle
+}

@@ -1,0 +1,192 @@
+//! Five seconds of fixed input, and a record of what came of it, word by word, in a file on the host. After the
+//! table's last step the emulator exits with status 0; before that, a line `icount,sample to motors,...` says what
+//! the steps cost.
+
+use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
+
+use cortex_m::peripheral::NVIC;
+use cortex_m_semihosting::debug::{self, EXIT_SUCCESS};
+use cortex_m_semihosting::{hprintln, nr, syscall};
+use fixed_input::{STEPS, WORDS_FILE, WORDS_PER_STEP};
+use flight_core::Config;
+use flight_core::sample::{Battery, MagSample, RcFrame};
+
+use super::{CAME, TICK_US, play, sample_to_motors, sent};
+use crate::board::{OVERDUE_US, PERIOD_US, Step, WAKE_FLIGHT};
+use crate::sampling;
+use crate::watch::{COMPASS_TICKS, SUPPLY_TICKS};
+
+/// Ticks of a sample period, and from a sample to the deadline of the next.
+const TICKS_PER_PERIOD: u32 = PERIOD_US / TICK_US;
+const TICKS_TO_OVERDUE: u32 = OVERDUE_US / TICK_US;
+/// By this one the table is done, or something is wrong.
+const LAST_TICK: u32 = (STEPS + 1) * TICKS_PER_PERIOD;
+
+/// The configuration that the host steps through the same table.
+pub fn config() -> Config {
+    fixed_input::config()
+}
+
+/// Prepares the first slot.
+pub fn begin() -> bool {
+    prepare(0);
+    false
+}
+
+/// Whether the sample of the slot that comes next arrives.
+static ARRIVES: AtomicBool = AtomicBool::new(false);
+
+fn prepare(slot: u32) {
+    ARRIVES.store(fixed_input::sample_arrives(slot), Ordering::Relaxed);
+    play(fixed_input::imu(slot));
+}
+
+// The handler's own.
+static TICK: AtomicU32 = AtomicU32::new(0);
+static SAMPLE_TICK: AtomicU32 = AtomicU32::new(0);
+
+/// Half a period has passed, at the instruction `came`.
+pub fn tick(came: u32) {
+    let tick = TICK.fetch_add(1, Ordering::Relaxed);
+    assert!(tick < LAST_TICK, "the flight task fell behind the table");
+    let at_us = tick * TICK_US;
+    if tick.is_multiple_of(TICKS_PER_PERIOD) {
+        if ARRIVES.load(Ordering::Relaxed) {
+            CAME.store(came, Ordering::Relaxed);
+            SAMPLE_TICK.store(tick, Ordering::Relaxed);
+            assert!(sampling::ready(at_us, false), "the last sample has not been taken");
+            NVIC::pend(WAKE_FLIGHT);
+        }
+        return;
+    }
+    prepare(tick / TICKS_PER_PERIOD + 1);
+    let late = tick - SAMPLE_TICK.load(Ordering::Relaxed);
+    if late >= TICKS_TO_OVERDUE && (late - TICKS_TO_OVERDUE).is_multiple_of(TICKS_PER_PERIOD) {
+        sampling::overdue(at_us);
+        NVIC::pend(WAKE_FLIGHT);
+    }
+}
+
+/// The table's frames of the pilot.
+#[derive(Default)]
+pub struct Radio {
+    slot: u32,
+    given: bool,
+}
+
+impl Radio {
+    /// The slot's frame, if it has one, and then nothing.
+    pub fn poll(&mut self) -> Option<RcFrame> {
+        if !self.given {
+            self.given = true;
+            let frame = fixed_input::input(self.slot).rc;
+            if frame.is_some() {
+                return frame;
+            }
+        }
+        self.given = false;
+        self.slot += 1;
+        None
+    }
+}
+
+/// The table's battery.
+#[derive(Default)]
+pub struct Supply {
+    slot: u32,
+}
+
+impl Supply {
+    /// The slot's reading, if it has one.
+    pub fn measure(&mut self) -> Option<Battery> {
+        let slot = self.slot;
+        self.slot += SUPPLY_TICKS;
+        fixed_input::input(slot).battery
+    }
+}
+
+/// The table's magnetometer.
+#[derive(Default)]
+pub struct Compass {
+    slot: u32,
+}
+
+impl Compass {
+    /// The slot's sample, if it has one.
+    pub fn run(&mut self) -> Option<MagSample> {
+        let slot = self.slot;
+        self.slot += COMPASS_TICKS;
+        fixed_input::input(slot).mag
+    }
+}
+
+/// Nothing restarts the emulator.
+pub struct Watchdog;
+
+impl Watchdog {
+    /// Does nothing.
+    pub fn feed(&mut self) {}
+}
+
+/// Instructions of the steps that had a sample.
+#[derive(Default)]
+struct Counts {
+    steps: u32,
+    total: u32,
+    most: u32,
+}
+
+/// The record.
+pub struct Monitor {
+    file: WordFile,
+    steps: u32,
+    counts: Counts,
+}
+
+impl Default for Monitor {
+    fn default() -> Self {
+        Self { file: WordFile::create(), steps: 0, counts: Counts::default() }
+    }
+}
+
+impl Monitor {
+    /// Writes a step's words; after the table's last step, says what the steps cost, and exits with status 0.
+    pub fn show(&mut self, step: &Step) {
+        let (sent, driven) = sent();
+        self.file.write(&fixed_input::words(step.time_us, driven, sent, step.attitude));
+        self.steps += 1;
+        let Counts { steps, total, most } = &mut self.counts;
+        if step.sampled {
+            let count = sample_to_motors();
+            *steps += 1;
+            *total += count;
+            *most = count.max(*most);
+        }
+        if self.steps == STEPS {
+            hprintln!("icount,sample to motors,{},{},{}", steps, total, most);
+            debug::exit(EXIT_SUCCESS);
+        }
+    }
+}
+
+/// A file on the host, by semihosting.
+struct WordFile {
+    handle: usize,
+}
+
+impl WordFile {
+    fn create() -> Self {
+        // SAFETY: the name is terminated, and its length given.
+        let handle = unsafe {
+            syscall!(OPEN, WORDS_FILE.as_ptr(), nr::open::W_TRUNC_BINARY, WORDS_FILE.count_bytes())
+        };
+        assert_ne!(handle, usize::MAX, "the host does not let {WORDS_FILE:?} be written");
+        Self { handle }
+    }
+
+    fn write(&mut self, words: &[u32; WORDS_PER_STEP]) {
+        // SAFETY: the length is that of the words.
+        let left = unsafe { syscall!(WRITE, self.handle, words.as_ptr(), size_of_val(words)) };
+        assert_eq!(left, 0, "bytes that the host did not take");
+    }
+}

@@ -1,0 +1,244 @@
+//! I2C1 for sensors that may not be there, on wires that may be short or open.
+//!
+//! `stm32f4xx-hal` 0.23 waits for start, stop and address without a limit (`i2c.rs`, `prepare_write` and
+//! `prepare_read`): a line that is held low would keep its caller for ever. Here every wait ends when the time of
+//! the run is up, which the task sets with [`begin_run`].
+//!
+//! Reception is the method of RM0090, 27.3.3, in which the clock is stretched while two bytes wait: no step of it
+//! has to come within a byte's time, so that interrupts may come between any two. A single byte is the exception,
+//! and takes a few instructions with interrupts off.
+
+use core::sync::atomic::{AtomicU32, Ordering};
+
+use embedded_hal::delay::DelayNs;
+use embedded_hal::i2c::{self, ErrorKind, ErrorType, I2c, NoAcknowledgeSource, Operation};
+use stm32f4xx_hal::gpio::{PB8, PB9};
+use stm32f4xx_hal::pac::{GPIOB, I2C1, i2c1};
+use stm32f4xx_hal::rcc::{Enable, Rcc};
+
+use crate::board;
+
+/// Time that a run has on the bus, its delays included, µs.
+const RUN_US: u32 = 4_000;
+/// Bits a second.
+const RATE_HZ: u32 = 400_000;
+
+static RUN_BEGAN_US: AtomicU32 = AtomicU32::new(0);
+
+/// The bus's time begins to run.
+pub fn begin_run() {
+    RUN_BEGAN_US.store(board::now_us(), Ordering::Relaxed);
+}
+
+/// Why an access failed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum BusError {
+    /// Nobody answers at the address, or takes the byte.
+    NotAcknowledged,
+    /// The run's time is up: a line is held, or a wire is off.
+    TimeUp,
+    /// Somebody else pulls at the lines.
+    Disturbed,
+    /// Two bytes cannot be read, nor none.
+    Length,
+}
+
+impl i2c::Error for BusError {
+    fn kind(&self) -> ErrorKind {
+        match self {
+            Self::NotAcknowledged => ErrorKind::NoAcknowledge(NoAcknowledgeSource::Unknown),
+            Self::Disturbed => ErrorKind::Bus,
+            Self::TimeUp | Self::Length => ErrorKind::Other,
+        }
+    }
+}
+
+/// The bus. Its copies are one bus: the task that has them uses one at a time.
+#[derive(Clone)]
+pub struct Bus {
+    apb1_mhz: u32,
+}
+
+fn regs() -> &'static i2c1::RegisterBlock {
+    // SAFETY: `Bus::new` has taken the peripheral.
+    unsafe { &*I2C1::ptr() }
+}
+
+impl Bus {
+    /// The bus on PB8 (SCL) and PB9 (SDA), which have pull-ups on this board.
+    pub fn new(_i2c: I2C1, scl: PB8, sda: PB9, rcc: &mut Rcc) -> Self {
+        scl.into_alternate_open_drain::<4>();
+        sda.into_alternate_open_drain::<4>();
+        I2C1::enable(rcc);
+        let bus = Self { apb1_mhz: rcc.clocks.pclk1().raw() / 1_000_000 };
+        bus.set_up();
+        bus
+    }
+
+    /// Frees the data line, resets the peripheral and sets it up: fast mode, low twice as long as high, rise time
+    /// 300 ns.
+    fn set_up(&self) {
+        free_data_line();
+        let regs = regs();
+        regs.cr1().write(|w| w.swrst().set_bit());
+        regs.cr1().reset();
+        // SAFETY: APB1's clock in MHz, within the field's range; the other fields as computed here.
+        unsafe {
+            regs.cr2().write(|w| w.freq().bits(self.apb1_mhz as u8));
+            regs.ccr()
+                .write(|w| w.f_s().set_bit().ccr().bits((self.apb1_mhz * 1_000_000 / (3 * RATE_HZ)) as u16));
+        }
+        regs.trise().write(|w| w.trise().set((self.apb1_mhz * 300 / 1_000 + 1) as u8));
+        regs.cr1().write(|w| w.pe().set_bit());
+    }
+}
+
+/// A sensor that was cut off in the middle of a byte may hold the data line, waiting for the clock: it gets the
+/// clocks to finish, up to nine, from the pin itself. Takes up to 0.1 ms.
+fn free_data_line() {
+    // SAFETY: PB8 and PB9 are this module's, and after `init` nobody else writes to the port's mode register.
+    let gpiob = unsafe { &*GPIOB::ptr() };
+    gpiob.bsrr().write(|w| w.bs8().set_bit());
+    gpiob.moder().modify(|_, w| w.moder8().output());
+    for _ in 0..9 {
+        if gpiob.idr().read().idr9().bit_is_set() {
+            break;
+        }
+        gpiob.bsrr().write(|w| w.br8().set_bit());
+        board::Wait.delay_us(5);
+        gpiob.bsrr().write(|w| w.bs8().set_bit());
+        board::Wait.delay_us(5);
+    }
+    gpiob.moder().modify(|_, w| w.moder8().alternate());
+}
+
+fn write(address: u8, bytes: &[u8]) -> Result<(), BusError> {
+    start(false)?;
+    send_address(address << 1)?;
+    regs().sr2().read();
+    for byte in bytes {
+        wait(|status| status.tx_e().bit_is_set())?;
+        // SAFETY: a byte.
+        regs().dr().write(|w| unsafe { w.bits(u16::from(*byte)) });
+    }
+    wait(|status| status.btf().bit_is_set())
+}
+
+fn read(address: u8, bytes: &mut [u8]) -> Result<(), BusError> {
+    match bytes {
+        [only] => {
+            start(false)?;
+            send_address(address << 1 | 1)?;
+            // The end must be ordered before the byte is complete.
+            cortex_m::interrupt::free(|_| {
+                regs().sr2().read();
+                stop();
+            });
+            *only = receive()?;
+            Ok(())
+        }
+        [first @ .., third_last, second_last, last] => {
+            start(true)?;
+            send_address(address << 1 | 1)?;
+            regs().sr2().read();
+            for byte in first {
+                *byte = receive()?;
+            }
+            // Two bytes wait, and the clock stands. The next one is the last.
+            wait(|status| status.btf().bit_is_set())?;
+            regs().cr1().modify(|_, w| w.ack().clear_bit());
+            *third_last = regs().dr().read().bits() as u8;
+            wait(|status| status.btf().bit_is_set())?;
+            stop();
+            *second_last = regs().dr().read().bits() as u8;
+            *last = receive()?;
+            Ok(())
+        }
+        _ => Err(BusError::Length),
+    }
+}
+
+/// Waits for `done` of the status; ends at an error, and when the run's time is up. A bus error is no error: the
+/// chip sees some that are none (errata sheet ES0182, "Spurious bus error detection in master mode").
+fn wait(done: impl Fn(&i2c1::sr1::R) -> bool) -> Result<(), BusError> {
+    loop {
+        let status = regs().sr1().read();
+        if status.af().bit_is_set() {
+            return Err(BusError::NotAcknowledged);
+        }
+        if status.arlo().bit_is_set() {
+            return Err(BusError::Disturbed);
+        }
+        if done(&status) {
+            return Ok(());
+        }
+        in_time()?;
+    }
+}
+
+fn in_time() -> Result<(), BusError> {
+    let since_us = board::now_us().wrapping_sub(RUN_BEGAN_US.load(Ordering::Relaxed));
+    if since_us > RUN_US { Err(BusError::TimeUp) } else { Ok(()) }
+}
+
+fn start(acknowledge: bool) -> Result<(), BusError> {
+    // The register must not be written to before the last stop is through.
+    while regs().cr1().read().stop().bit_is_set() {
+        in_time()?;
+    }
+    regs().cr1().modify(|_, w| w.start().set_bit().ack().bit(acknowledge));
+    wait(|status| status.sb().bit_is_set())
+}
+
+fn send_address(address: u8) -> Result<(), BusError> {
+    // SAFETY: a byte.
+    regs().dr().write(|w| unsafe { w.bits(u16::from(address)) });
+    wait(|status| status.addr().bit_is_set())
+}
+
+fn stop() {
+    regs().cr1().modify(|_, w| w.stop().set_bit());
+}
+
+fn receive() -> Result<u8, BusError> {
+    wait(|status| status.rx_ne().bit_is_set())?;
+    Ok(regs().dr().read().bits() as u8)
+}
+
+impl ErrorType for Bus {
+    type Error = BusError;
+}
+
+impl I2c for Bus {
+    fn transaction(&mut self, address: u8, operations: &mut [Operation<'_>]) -> Result<(), BusError> {
+        let mut result = Ok(());
+        let mut ends_itself = false;
+        for operation in operations {
+            result = match operation {
+                Operation::Write(bytes) => {
+                    ends_itself = false;
+                    write(address, bytes)
+                }
+                Operation::Read(bytes) => {
+                    ends_itself = true;
+                    read(address, bytes)
+                }
+            };
+            if result.is_err() {
+                break;
+            }
+        }
+        match result {
+            Ok(()) if ends_itself => {}
+            Ok(()) => stop(),
+            // An answer that does not come is common, and leaves the bus in order.
+            Err(BusError::NotAcknowledged) => {
+                stop();
+                regs().sr1().modify(|_, w| w.af().clear_bit());
+            }
+            // Whatever state the peripheral is in, it begins anew.
+            Err(_) => self.set_up(),
+        }
+        result
+    }
+}

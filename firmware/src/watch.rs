@@ -1,0 +1,120 @@
+//! Who is on time: the roll of the periodic tasks, and the deadlines that they have missed.
+
+use core::sync::atomic::{AtomicU32, Ordering};
+
+use flight_core::watchdog::{Deadline, Late, Roll};
+
+use crate::board::{OVERDUE_US, PERIOD_US};
+use crate::clock::Clock;
+
+/// The periodic tasks.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Task {
+    /// `flight`.
+    Flight,
+    /// `tick`.
+    Tick,
+    /// `supply`.
+    Supply,
+    /// `compass`.
+    Compass,
+    /// `health`.
+    Health,
+}
+
+impl Task {
+    const ALL: [Self; 5] = [Self::Flight, Self::Tick, Self::Supply, Self::Compass, Self::Health];
+
+    /// For people.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Flight => "flight",
+            Self::Tick => "tick",
+            Self::Supply => "supply",
+            Self::Compass => "compass",
+            Self::Health => "health",
+        }
+    }
+
+    /// Age of the last check-in at which the task is late, µs: its longest period, and as much again for those
+    /// that are started by another task.
+    const fn allowed_age_us(self) -> u64 {
+        match self {
+            // A lost sample, and the period of those that stay lost.
+            Self::Flight => (OVERDUE_US + PERIOD_US) as u64,
+            Self::Tick => 2 * PERIOD_US as u64,
+            Self::Supply => 2 * (SUPPLY_TICKS * PERIOD_US) as u64,
+            Self::Compass => 2 * (COMPASS_TICKS * PERIOD_US) as u64,
+            Self::Health => 2 * (HEALTH_TICKS * PERIOD_US) as u64,
+        }
+    }
+}
+
+/// Ticks (1 ms) from one run to the next.
+pub const COMPASS_TICKS: u32 = 5;
+/// Likewise.
+pub const SUPPLY_TICKS: u32 = 20;
+/// Likewise; also those from one look at the roll to the next, which happens right after the supply's turn.
+pub const HEALTH_TICKS: u32 = 1_000;
+
+/// How long after start a task may take to its first run, µs.
+const GRACE_US: u64 = 1_100_000;
+
+/// Deadlines missed since start. An atomic, so that a step may read it without a lock; [`Watch`] writes it.
+static MISSED: AtomicU32 = AtomicU32::new(0);
+
+/// Deadlines missed since start.
+pub fn missed() -> u32 {
+    MISSED.load(Ordering::Relaxed)
+}
+
+/// The roll, and who was told of.
+pub struct Watch {
+    roll: Roll<{ Task::ALL.len() }>,
+    clock: Clock,
+    /// Bit n: a miss of task n has been told since the last health line.
+    told: u32,
+}
+
+impl Watch {
+    /// Nobody has checked in yet.
+    pub const fn new() -> Self {
+        let mut allowed_age_us = [0; Task::ALL.len()];
+        let mut n = 0;
+        while n < Task::ALL.len() {
+            allowed_age_us[n] = Task::ALL[n].allowed_age_us();
+            n += 1;
+        }
+        Self { roll: Roll::new(allowed_age_us, 0, GRACE_US), clock: Clock::new(), told: 0 }
+    }
+
+    /// `task` ends a run at `now_us`. Returns whether a person should be told that it was late.
+    pub fn check_in(&mut self, task: Task, deadline: Deadline, now_us: u32) -> bool {
+        let now_us = self.clock.at(now_us);
+        self.roll.check_in(task as usize, deadline, now_us);
+        deadline == Deadline::Missed && self.miss(task)
+    }
+
+    /// `task` was to begin a run, and has not finished the one before. Returns as [`Self::check_in`].
+    pub fn miss(&mut self, task: Task) -> bool {
+        MISSED.fetch_add(1, Ordering::Relaxed);
+        let bit = 1 << task as u32;
+        let tell = self.told & bit == 0;
+        self.told |= bit;
+        tell
+    }
+
+    /// A health line has been written: misses are told again.
+    pub fn begin_report(&mut self) {
+        self.told = 0;
+    }
+
+    /// Whether everybody is on time, and if not, who is late.
+    ///
+    /// # Errors
+    /// Somebody is late.
+    pub fn may_feed(&mut self, now_us: u32) -> Result<(), Late> {
+        let now_us = self.clock.at(now_us);
+        self.roll.may_feed(now_us)
+    }
+}

@@ -1,0 +1,197 @@
+//! One function: every path through its instructions, with the depth of the stack at each.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use crate::image::Image;
+use crate::thumb::{Flow, Half, Instruction, Stack, decode};
+
+pub enum Callee {
+    Function(u32),
+    /// Whatever a register holds.
+    Register,
+}
+
+pub struct Call {
+    pub at: u32,
+    /// Bytes of stack that the caller has taken when it calls.
+    pub depth: u32,
+    pub callee: Callee,
+}
+
+pub struct Function {
+    /// The most bytes of stack that it takes itself.
+    pub frame: u32,
+    pub calls: Vec<Call>,
+    /// The permanently undefined instructions that it can reach.
+    pub traps: Vec<u32>,
+    pub instructions: usize,
+    /// Whether some path comes back to the caller.
+    pub returns: bool,
+}
+
+/// A function's instructions by address, and whether each depends on the condition of an `it` block. What
+/// cannot be decoded matters only if a path gets there.
+type Listing = BTreeMap<u32, (Result<Instruction, &'static str>, bool)>;
+
+fn listing(image: &Image, start: u32) -> Listing {
+    let end = start + image.functions[&start].size;
+    let mut listing = Listing::new();
+    let mut address = start;
+    let mut conditional = 0;
+    while address < end {
+        if !image.is_code(address) {
+            conditional = 0;
+            address += 2;
+            continue;
+        }
+        let half_word = |address| image.half_word(address).unwrap_or(0);
+        let decoded = decode(address, half_word(address), half_word(address + 2));
+        listing.insert(address, (decoded, conditional > 0));
+        let (length, block) = decoded.map_or((2, 0), |decoded| (decoded.length, decoded.conditional));
+        conditional = if block > 0 { block } else { conditional.saturating_sub(1) };
+        address += length;
+    }
+    listing
+}
+
+/// Every number that the function may build with `movw` and `movt`: addresses of functions are among them.
+pub fn constants(image: &Image, start: u32) -> Vec<u32> {
+    let halves: BTreeSet<(u32, bool, u32)> = listing(image, start)
+        .values()
+        .filter_map(|(decoded, _)| decoded.ok()?.constant)
+        .map(|(register, half, value)| (register, half == Half::High, value))
+        .collect();
+    let of = |wanted| halves.iter().filter(move |(_, high, _)| *high == wanted);
+    of(false)
+        .flat_map(|low| of(true).filter(move |high| high.0 == low.0).map(move |high| high.2 << 16 | low.2))
+        .collect()
+}
+
+/// The analysis of the function at `start`. `returning` holds those that come back: after a call of another,
+/// nothing follows.
+pub fn analyse(image: &Image, start: u32, returning: &BTreeSet<u32>) -> Result<Function, String> {
+    let listing = listing(image, start);
+    let mut function =
+        Function { frame: 0, calls: Vec::new(), traps: Vec::new(), instructions: 0, returns: false };
+    let mut begins_anew = false;
+    // Bytes of stack taken at each instruction.
+    let mut depths = BTreeMap::from([(start, 0_u32)]);
+    let mut open = vec![start];
+    while let Some(at) = open.pop() {
+        let fail = |why: &str| Err(format!("{} at {at:#x}: {why}", image.name(start)));
+        let depth = depths[&at];
+        let (instruction, conditional) = match listing.get(&at) {
+            Some((Ok(instruction), conditional)) => (instruction, *conditional),
+            Some((Err(why), _)) => return fail(why),
+            None => return fail("a path leaves the function's instructions"),
+        };
+        function.instructions += 1;
+
+        let after = match instruction.stack {
+            Stack::Keep => depth,
+            _ if conditional && instruction.flow == Flow::Next => return fail("sp moves under a condition"),
+            Stack::Grow(bytes) => match depth.checked_add_signed(bytes) {
+                Some(after) => after,
+                None => return fail("more is popped than was pushed"),
+            },
+            Stack::BeginAnew => {
+                begins_anew = true;
+                0
+            }
+        };
+        function.frame = function.frame.max(after);
+
+        let next = at + instruction.length;
+        let mut to = Vec::new();
+        if conditional {
+            // The condition does not hold.
+            to.push((next, depth));
+        }
+        let mut jumps = Vec::new();
+        match instruction.flow {
+            Flow::Next => to.push((next, after)),
+            Flow::Jump(target) => jumps.push(target),
+            Flow::Branch(target) => {
+                to.push((next, after));
+                jumps.push(target);
+            }
+            Flow::JumpTable { entry } => {
+                jumps = jump_table(image, &listing, next, entry);
+                if jumps.is_empty() {
+                    return fail("a jump table that is not understood");
+                }
+            }
+            Flow::Call(target) => {
+                function.calls.push(Call { at, depth: after, callee: Callee::Function(target) });
+                if !image.functions.contains_key(&target) {
+                    return fail("a call into the middle of a function");
+                }
+                if returning.contains(&target) {
+                    to.push((next, after));
+                }
+            }
+            Flow::CallRegister => {
+                function.calls.push(Call { at, depth: after, callee: Callee::Register });
+                to.push((next, after));
+            }
+            Flow::JumpRegister | Flow::Return => {
+                if after != 0 {
+                    return fail("leaves with another sp than it was entered with");
+                }
+                function.returns = true;
+                if instruction.flow == Flow::JumpRegister {
+                    function.calls.push(Call { at, depth: after, callee: Callee::Register });
+                }
+            }
+            Flow::Trap => function.traps.push(at),
+        }
+        for target in jumps {
+            if listing.contains_key(&target) {
+                to.push((target, after));
+            } else if image.functions.contains_key(&target) {
+                function.calls.push(Call { at, depth: after, callee: Callee::Function(target) });
+                if returning.contains(&target) {
+                    if after != 0 {
+                        return fail("leaves with another sp than it was entered with");
+                    }
+                    function.returns = true;
+                }
+            } else {
+                return fail("a jump into the middle of a function");
+            }
+        }
+        for (target, depth) in to {
+            match depths.get(&target) {
+                None => {
+                    depths.insert(target, depth);
+                    open.push(target);
+                }
+                Some(&before) if before != depth => {
+                    return fail(&format!("comes to {target:#x} with another sp than another path"));
+                }
+                Some(_) => {}
+            }
+        }
+    }
+    if begins_anew && function.returns {
+        return Err(format!("{}: returns with a stack of its own", image.name(start)));
+    }
+    Ok(function)
+}
+
+/// The targets of the jump table at `table`. Literals may follow it without a mark between. So it is read
+/// until the first of its targets, or the first entry that leads to no instruction of the function. A literal
+/// that looks like one more entry adds a path and hides none.
+fn jump_table(image: &Image, listing: &Listing, table: u32, entry: u32) -> Vec<u32> {
+    let mut targets = Vec::new();
+    let mut first = u32::MAX;
+    for at in (table..).step_by(entry as usize) {
+        let offset =
+            if entry == 1 { image.byte(at).map(u32::from) } else { image.half_word(at).map(u32::from) };
+        let target = offset.map(|offset| table + 2 * offset).filter(|target| listing.contains_key(target));
+        let Some(target) = target.filter(|_| at < first && !image.is_code(at)) else { break };
+        targets.push(target);
+        first = first.min(target);
+    }
+    targets
+}

@@ -1,0 +1,130 @@
+//! What the linker made: functions, their bytes, and the vector table.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use object::{Object as _, ObjectSection as _, ObjectSymbol as _, SymbolKind};
+
+pub struct Image {
+    pub functions: BTreeMap<u32, Symbol>,
+    /// What is in flash, without the vector table, by address.
+    sections: BTreeMap<u32, Vec<u8>>,
+    /// Where code begins (`true`) and where data does, as the ELF's mapping symbols say.
+    mapping: BTreeMap<u32, bool>,
+    /// The vector table from the second word on: what reset, faults and interrupts enter.
+    pub vectors: Vec<u32>,
+    /// `STACK` of memory.x.
+    pub stack_bytes: u32,
+}
+
+pub struct Symbol {
+    /// All that are at this address, aliases last.
+    pub names: Vec<String>,
+    pub size: u32,
+}
+
+impl Image {
+    pub fn read(path: &Path) -> Self {
+        let bytes = std::fs::read(path).unwrap();
+        let elf = object::File::parse(&*bytes).unwrap();
+        let bytes_of = |name| elf.section_by_name(name).unwrap().data().unwrap().to_vec();
+        let address_of = |name| elf.section_by_name(name).unwrap().address() as u32;
+        let mut functions: BTreeMap<u32, Symbol> = BTreeMap::new();
+        let mut mapping = BTreeMap::from([".rodata", ".data"].map(|name| (address_of(name), false)));
+        let mut stack = BTreeMap::new();
+        for symbol in elf.symbols() {
+            let (name, address) = (symbol.name().unwrap(), symbol.address() as u32);
+            match name.split('.').next().unwrap() {
+                kind @ ("$t" | "$d") => {
+                    let before = mapping.insert(address, kind == "$t");
+                    assert!(
+                        before.is_none_or(|before| before == (kind == "$t")),
+                        "{address:#x}: code or data?"
+                    );
+                }
+                "$a" => panic!("{address:#x}: ARM code"),
+                "_stack_start" | "_stack_end" => {
+                    stack.insert(name.to_owned(), address);
+                }
+                _ if symbol.kind() == SymbolKind::Text => {
+                    let names = Vec::new();
+                    let function = functions.entry(address & !1).or_insert(Symbol { names, size: 0 });
+                    let name = format!("{:#}", rustc_demangle::demangle(name));
+                    // An alias that the linker script gives has no size.
+                    let at = if symbol.size() > 0 { 0 } else { function.names.len() };
+                    function.names.insert(at, name);
+                    function.size = function.size.max(symbol.size() as u32);
+                }
+                _ => {}
+            }
+        }
+        let table = bytes_of(".vector_table");
+        let mut words = table.chunks_exact(4).map(|word| u32::from_le_bytes(word.try_into().unwrap()));
+        assert_eq!(words.next(), Some(stack["_stack_start"]), "the vector table's first word");
+        Self {
+            functions,
+            sections: [".text", ".rodata", ".data"].map(|name| (address_of(name), bytes_of(name))).into(),
+            mapping,
+            vectors: words.filter(|&handler| handler != 0).map(|handler| handler & !1).collect(),
+            stack_bytes: stack["_stack_start"] - stack["_stack_end"],
+        }
+    }
+
+    /// An image of these functions, one behind the other from address 0 on.
+    pub fn of(functions: &[(&str, &[u16])]) -> Self {
+        let mut image = Self {
+            functions: BTreeMap::new(),
+            sections: BTreeMap::new(),
+            mapping: [(0, true)].into(),
+            vectors: Vec::new(),
+            stack_bytes: 0,
+        };
+        let mut bytes = Vec::new();
+        for (name, code) in functions {
+            let symbol = Symbol { names: vec![(*name).to_owned()], size: 2 * code.len() as u32 };
+            image.functions.insert(bytes.len() as u32, symbol);
+            bytes.extend(code.iter().flat_map(|half_word| half_word.to_le_bytes()));
+        }
+        image.sections.insert(0, bytes);
+        image
+    }
+
+    /// Marks bytes of [`Self::of`] as data.
+    pub fn with_data(mut self, range: std::ops::Range<u32>) -> Self {
+        self.mapping.extend([(range.start, false), (range.end, true)]);
+        self
+    }
+
+    /// The function that has this name.
+    pub fn find(&self, name: &str) -> Option<u32> {
+        let mut named = self.functions.iter().filter(|(_, symbol)| symbol.names.iter().any(|n| n == name));
+        named.next().map(|(&address, _)| address)
+    }
+
+    pub fn name(&self, function: u32) -> &str {
+        &self.functions[&function].names[0]
+    }
+
+    pub fn byte(&self, address: u32) -> Option<u8> {
+        let (&start, bytes) = self.sections.range(..=address).next_back()?;
+        bytes.get((address - start) as usize).copied()
+    }
+
+    pub fn half_word(&self, address: u32) -> Option<u16> {
+        Some(u16::from_le_bytes([self.byte(address)?, self.byte(address + 1)?]))
+    }
+
+    pub fn is_code(&self, address: u32) -> bool {
+        self.mapping.range(..=address).next_back().is_some_and(|(_, &code)| code)
+    }
+
+    /// Every aligned word that is data: tables, literals, initial values of variables.
+    pub fn data_words(&self) -> impl Iterator<Item = u32> {
+        self.sections.iter().flat_map(move |(&start, bytes)| {
+            bytes.chunks_exact(4).zip((start..).step_by(4)).filter_map(move |(word, address)| {
+                let is_data = !self.is_code(address) || !self.is_code(address + 2);
+                is_data.then(|| u32::from_le_bytes(word.try_into().unwrap()))
+            })
+        })
+    }
+}

@@ -1,0 +1,229 @@
+//! The flight board's image as it was linked: what its interrupt handlers can reach, and how much stack they
+//! take. With the default log level, errors only, and with everything logged, since that is more code.
+//!
+//! Two statements are read off the machine code, and hold for every input:
+//!
+//! - **No panic can be reached from the fast loop.** From each handler in [`FAST_LOOP`], all calls are
+//!   followed. None leads to a function of [`PANICS`], none to an undefined instruction, and none goes by a
+//!   register, so that all of them are seen. That the search finds panics is checked on the same image:
+//!   bringing the board up may panic, and does so on a setting that is out of range.
+//! - **The stack holds the worst nesting of handlers.** Each path through each function is followed with the
+//!   depth of the stack at each instruction; a path must come back with the stack pointer with which it
+//!   began. The deepest path of calls from reset, and from the worst handler of each priority in
+//!   [`HANDLERS`], are added up, with the registers that the processor saves at each interruption.
+//!
+//! Whatever is not understood is an error and not skipped: an instruction that writes `sp` or `pc` in a way
+//! that `thumb.rs` does not know, a jump into the middle of a function, a cycle of calls, a vector that is
+//! not in [`HANDLERS`].
+//!
+//! # What this does not show
+//! - That the compiler's code is reached at all, or in time: endless loops, and waiting, are not panics.
+//! - Faults: a load from a bad address is not seen. They stop the motors (`firmware/src/fault.rs`).
+//! - The stack *after* a panic has begun. One that runs out of it is a fault, which begins the stack anew and
+//!   stops the motors, as the panic was about to do.
+//! - The priorities, which the firmware writes at run time. The bound in which each handler interrupts all
+//!   others needs none of them, and is printed beside.
+//! - How deep values that are formatted are nested: [`FORMATTED_DEPTH`] is taken from their types.
+//!
+//! A call by a register is taken to reach any function whose address occurs in the image, in data or in a
+//! pair of `movw` and `movt`. An address that is computed otherwise would be missed, and the compiler makes
+//! none.
+
+mod crafted;
+mod function;
+mod image;
+mod program;
+mod thumb;
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::env;
+use std::ffi::OsStr;
+use std::path::Path;
+use std::process::Command;
+use std::sync::OnceLock;
+
+use function::{Callee, Function};
+use image::Image;
+use program::{Depth, Program};
+
+/// The handlers between a sample and the motors' pulses: the flight task, and what wakes it.
+const FAST_LOOP: [&str; 3] = ["DMA2_STREAM0", "EXTI4", "TIM5"];
+
+/// The RTIC priority of each handler. Tasks: `#[task]` in `firmware/src/main.rs`; asynchronous tasks run in
+/// the vector of the dispatcher of their priority, of which the lowest comes first in `dispatchers`. The
+/// board's own interrupts: `SENSE_PRIORITY` in `firmware/src/board/mod.rs`.
+const HANDLERS: [(&str, u8); 7] = [
+    ("CRYP", 1),         // compass
+    ("DCMI", 2),         // supply, health, announce
+    ("SysTick", 3),      // tick
+    ("DMA2_STREAM0", 4), // flight
+    ("EXTI4", 5),        // data ready
+    ("TIM5", 5),         // sample overdue
+    ("USART2", 5),       // receive
+];
+
+/// Where a panic begins: beginnings of names.
+const PANICS: [&str; 9] = [
+    "__rustc::rust_begin_unwind",
+    "core::cell::panic_",
+    "core::option::expect_failed",
+    "core::option::unwrap_failed",
+    "core::panicking::",
+    "core::result::unwrap_failed",
+    "core::slice::index::slice_",
+    "core::str::slice_error_fail",
+    "defmt::export::panic",
+];
+
+/// How many values within values the log formats through `core::fmt`, whose functions call each other in
+/// cycles: an error of the inertial sensor, in it the bus's, in it the peripheral's; and one for the
+/// reference around it.
+const FORMATTED_DEPTH: u32 = 4;
+
+/// What the processor saves when an interrupt comes: 8 words, 18 of the floating-point unit (for which it
+/// leaves room even if it need not save them), and one that aligns the stack.
+const SAVED_BYTES: u32 = 4 * (8 + 18 + 1);
+
+#[test]
+#[ignore = "builds the firmware for the board"]
+fn no_panic_can_be_reached_from_the_fast_loop() {
+    for (log, image) in flight_images() {
+        let program = Program::new(image);
+        for root in FAST_LOOP {
+            check_free_of_panics(image, &program, root).unwrap_or_else(|why| panic!("log {log}: {why}"));
+        }
+        // The largest part of the flight task is there, so the search did not end early.
+        let (functions, instructions) = extent(image, &program, image.find(FAST_LOOP[0]).unwrap());
+        assert!(instructions > 1_500, "log {log}: {instructions} instructions in the flight task");
+        println!(
+            "log {log}: no panic in {functions} functions, {instructions} instructions of {}",
+            FAST_LOOP[0]
+        );
+
+        // Bringing the board up can panic, and that is found.
+        let found = check_free_of_panics(image, &program, "Reset").unwrap_err();
+        assert!(found.contains("core::panicking::"), "{found}");
+    }
+}
+
+/// Whether `root` neither panics, nor runs into an undefined instruction, nor calls anything by a register.
+fn check_free_of_panics(image: &Image, program: &Program, root: &str) -> Result<(), String> {
+    let start = image.find(root).ok_or(format!("{root} is not in the image"))?;
+    let reached = program.reached(start, |_| false)?;
+    // Nearest first: the shortest chain says most.
+    let mut nearest: Vec<(usize, u32)> = reached
+        .keys()
+        .map(|&function| (program.chain(&reached, function).lines().count(), function))
+        .collect();
+    nearest.sort_unstable();
+    for (_, function) in nearest {
+        let chain = program.chain(&reached, function);
+        if is_panic(image.name(function)) {
+            return Err(format!("a panic can be reached:\n  {chain}"));
+        }
+        let Function { traps, calls, .. } = program.function(function)?;
+        if let Some(at) = traps.first() {
+            return Err(format!("an undefined instruction can be reached at {at:#x}:\n  {chain}"));
+        }
+        if let Some(call) = calls.iter().find(|call| matches!(call.callee, Callee::Register)) {
+            return Err(format!("a call by a register at {:#x}:\n  {chain}", call.at));
+        }
+    }
+    Ok(())
+}
+
+fn is_panic(name: &str) -> bool {
+    PANICS.iter().any(|beginning| name.starts_with(beginning))
+}
+
+#[test]
+#[ignore = "builds the firmware for the board"]
+fn the_stack_holds_the_worst_nesting_of_handlers() {
+    for (log, image) in flight_images() {
+        println!("log {log}");
+        let bound = stack_bound(image).unwrap_or_else(|why| panic!("log {log}: {why}"));
+        assert!(bound <= image.stack_bytes, "{bound} bytes of stack, and there are {}", image.stack_bytes);
+    }
+}
+
+/// The most stack that reset and the worst nesting of handlers take; prints how it comes about.
+fn stack_bound(image: &Image) -> Result<u32, String> {
+    let program = Program::new(image);
+    // Every vector is accounted for. What has no handler of its own goes to the default one.
+    let vectors: BTreeSet<&str> = image.vectors.iter().map(|&handler| image.name(handler)).collect();
+    let handlers = HANDLERS.iter().map(|&(name, _)| name);
+    assert_eq!(
+        vectors,
+        handlers.chain(["Reset", "HardFault", "DefaultHandler"]).collect(),
+        "image, and table"
+    );
+
+    println!("{:16} {:>8} {:>6} {:>12}   deepest calls", "root", "priority", "bytes", "instructions");
+    let bytes_of = |name: &str, priority: &str| {
+        let start = image.find(name).unwrap();
+        let depth = depth(image, &program, start)?;
+        let (_, instructions) = extent(image, &program, start);
+        let path: Vec<&str> = depth.path.iter().skip(1).map(|&function| image.name(function)).collect();
+        println!("{name:16} {priority:>8} {:>6} {instructions:>12}   {}", depth.bytes, path.join(" → "));
+        Ok::<u32, String>(depth.bytes)
+    };
+    // From here on to the idle task, which never ends. Bringing the board up is the deepest of it, and runs
+    // with interrupts off, so the sum is more than can come together.
+    let base = bytes_of("Reset", "0")?;
+    let mut levels: BTreeMap<u8, u32> = BTreeMap::new();
+    let mut each_on_top = 0;
+    for (name, priority) in HANDLERS {
+        let bytes = bytes_of(name, &priority.to_string())?;
+        let level = levels.entry(priority).or_default();
+        *level = bytes.max(*level);
+        each_on_top += SAVED_BYTES + bytes;
+    }
+    // Above all: an interrupt that nobody expected, or a fault. Neither comes back.
+    let last = SAVED_BYTES + bytes_of("DefaultHandler", "any")?.max(bytes_of("HardFault", "fault")?);
+
+    let bound = base + levels.values().map(|level| SAVED_BYTES + level).sum::<u32>() + last;
+    println!("bound {bound} of {} bytes; {SAVED_BYTES} of them for each interruption", image.stack_bytes);
+    println!("if each handler interrupted all others, {}\n", base + each_on_top + last);
+    Ok(bound)
+}
+
+/// The stack of `start`, up to where a panic begins.
+fn depth(image: &Image, program: &Program, start: u32) -> Result<Depth, String> {
+    let nested = |name: &str| name.contains("core::fmt::").then_some(FORMATTED_DEPTH);
+    program.depth(start, |function| is_panic(image.name(function)), nested)
+}
+
+/// Functions and instructions that can be reached, without those of a panic.
+fn extent(image: &Image, program: &Program, root: u32) -> (usize, usize) {
+    let reached = program.reached(root, |function| is_panic(image.name(function))).unwrap();
+    let instructions: Vec<usize> = reached
+        .keys()
+        .filter(|&&function| !is_panic(image.name(function)))
+        .map(|&function| program.function(function).unwrap().instructions)
+        .collect();
+    (instructions.len(), instructions.iter().sum())
+}
+
+/// The images, and the log levels with which they are built: what is logged is chosen at build time, by
+/// `DEFMT_LOG`. They are built once, in a target directory of their own: the outer build's is locked.
+fn flight_images() -> &'static [(&'static str, Image)] {
+    static IMAGES: OnceLock<[(&str, Image); 2]> = OnceLock::new();
+    IMAGES.get_or_init(|| ["error", "trace"].map(|log| (log, flight_image(log))))
+}
+
+fn flight_image(log: &str) -> Image {
+    let target = Path::new(env!("CARGO_TARGET_TMPDIR")).join("linked-image");
+    let status = Command::new(env::var_os("CARGO").as_deref().unwrap_or(OsStr::new("cargo")))
+        .current_dir(Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap())
+        .args(["build", "--release", "--package", "firmware", "--target", "thumbv7em-none-eabihf"])
+        .arg("--target-dir")
+        .arg(&target)
+        .env("DEFMT_LOG", log)
+        // These would replace the link arguments of .cargo/config.toml.
+        .env_remove("RUSTFLAGS")
+        .env_remove("CARGO_ENCODED_RUSTFLAGS")
+        .status()
+        .expect("cargo runs");
+    assert!(status.success(), "the image does not build");
+    Image::read(&target.join("thumbv7em-none-eabihf/release/firmware"))
+}
