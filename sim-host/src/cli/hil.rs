@@ -28,7 +28,7 @@ pub fn run(arguments: &HilArguments) -> Result<Answer, InputError> {
 
 #[cfg(unix)]
 fn on_qemu(scene: &Scene, arguments: &HilArguments) -> Result<Answer, InputError> {
-    let image = arguments.image.as_deref().map_or_else(hil::build, hil::check)?;
+    let image = arguments.image.as_deref().map_or_else(|| hil::build(hil::PIPES), hil::check)?;
     let mut qemu = hil::Qemu::start(&image)?;
     let (flown, wall_s) = one(&mut qemu, scene, arguments)?;
     Ok(answer(scene, &image, &flown, wall_s, Some(&qemu.end())))

@@ -25,12 +25,17 @@ pub fn check(image: &Path) -> Result<PathBuf, InputError> {
     fs::canonicalize(image).map_err(|error| refused(format!("cannot be found: {error}")))
 }
 
-/// Builds the image from the sources that this program was built from, in a target directory of its own: an outer
-/// build's is locked.
+/// The feature of the firmware that makes QEMU's pipes its link.
+pub const PIPES: &str = "hil-qemu";
+/// The feature that makes its USART6 the link.
+pub const USART: &str = "hil-usart";
+
+/// Builds the image with this feature, from the sources that this program was built from, in a target directory of
+/// its own: an outer build's is locked.
 ///
 /// # Errors
 /// No sources, no cargo, or an image that does not build.
-pub fn build() -> Result<PathBuf, InputError> {
+pub fn build(feature: &str) -> Result<PathBuf, InputError> {
     let refused =
         |what: String| InputError::new(format!("{what}: name an image by --image FILE")).file("firmware");
     let workspace = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
@@ -39,13 +44,13 @@ pub fn build() -> Result<PathBuf, InputError> {
     }
     let targets =
         std::env::var_os("CARGO_TARGET_DIR").map_or_else(|| workspace.join("target"), PathBuf::from);
-    let target = std::path::absolute(targets.join("hil-image"))
+    let target = std::path::absolute(targets.join("hil-image").join(feature))
         .map_err(|error| refused(format!("no target directory: {error}")))?;
     let mut cargo = Command::new(std::env::var_os("CARGO").as_deref().unwrap_or(OsStr::new("cargo")));
     cargo
         .current_dir(&workspace)
         .args(["build", "--release", "--package", "firmware", "--target", TARGET])
-        .args(["--no-default-features", "--features", "hil-qemu", "--target-dir"])
+        .args(["--no-default-features", "--features", feature, "--target-dir"])
         .arg(&target)
         // These would replace the link arguments of .cargo/config.toml.
         .env_remove("RUSTFLAGS")

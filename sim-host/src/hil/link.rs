@@ -117,7 +117,7 @@ impl fmt::Display for LinkError {
             }
             Self::Resets => write!(f, "the firmware has been reset more than {MOST_RESETS} times"),
             Self::Interrupted => write!(f, "interrupted"),
-            Self::Io(error) => write!(f, "the link: {error}"),
+            Self::Io(error) => write!(f, "the link fails: {error}"),
         }
     }
 }
@@ -438,6 +438,7 @@ impl<W: Wire> Autopilot for Link<W> {
                     self.to_board = received;
                     if of_this {
                         self.answered = Some(number);
+                        self.noise = 0;
                         return Ok(self.unanswered());
                     }
                 }

@@ -24,7 +24,7 @@ use crate::flight::{Flight, Observer, Outcome};
 use crate::scene::Scene;
 
 pub use hil_link::Received;
-pub use image::{build, check};
+pub use image::{PIPES, USART, build, check};
 pub use link::{Faults, Link, LinkError, Patience, Report, Reset, Wire};
 #[cfg(unix)]
 pub use qemu::Qemu;
