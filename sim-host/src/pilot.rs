@@ -7,7 +7,7 @@
 use std::collections::VecDeque;
 
 use flight_core::geometry::{Vec3, vec3};
-use flight_core::rc::{CENTRE_TICKS, HIGH_TICKS, LOW_TICKS};
+use flight_core::rc::{CENTRE_TICKS, FlightMode, HIGH_TICKS, LOW_TICKS};
 use flight_core::sample::{LinkStatus, RcFrame};
 
 use crate::vehicle::{GRAVITY, State};
@@ -25,10 +25,11 @@ struct Sticks {
     roll: f64,
     pitch: f64,
     yaw: f64,
+    mode: FlightMode,
 }
 
 impl Sticks {
-    const LOW: Self = Self { throttle: 0.0, roll: 0.0, pitch: 0.0, yaw: 0.0 };
+    const LOW: Self = Self { throttle: 0.0, roll: 0.0, pitch: 0.0, yaw: 0.0, mode: FlightMode::Angle };
     const ARM: Self = Self { yaw: 1.0, ..Self::LOW };
     const DISARM: Self = Self { yaw: -1.0, ..Self::LOW };
 
@@ -46,9 +47,12 @@ impl Sticks {
                 centred(self.pitch),
                 centred(self.yaw),
             ],
-            // Arms by the sticks, flies by angles.
+            // Arms by the sticks.
             arm_switch: LOW_TICKS,
-            mode_switch: LOW_TICKS,
+            mode_switch: match self.mode {
+                FlightMode::Angle => LOW_TICKS,
+                FlightMode::Rate => HIGH_TICKS,
+            },
             status: LinkStatus::Good,
         }
     }
@@ -94,6 +98,9 @@ pub struct Move {
     pub pitch: Option<f64>,
     /// −1 (anticlockwise from above) to 1.
     pub yaw: Option<f64>,
+    /// Position of the mode switch. In rate mode the sticks that are not named are centred: what would hold a place
+    /// by angles means something else there.
+    pub mode: FlightMode,
 }
 
 /// What a pilot is to do.
@@ -219,6 +226,9 @@ impl Pilot {
             Base::Centred { throttle } => Sticks { throttle, ..Sticks::LOW },
         };
         for m in self.script.iter().filter(|m| (m.at_s..m.at_s + m.for_s).contains(&t_s)) {
+            if m.mode == FlightMode::Rate {
+                sticks = Sticks { throttle: sticks.throttle, mode: m.mode, ..Sticks::LOW };
+            }
             sticks.throttle = m.throttle.unwrap_or(sticks.throttle);
             sticks.roll = m.roll.unwrap_or(sticks.roll);
             sticks.pitch = m.pitch.unwrap_or(sticks.pitch);
@@ -271,6 +281,7 @@ impl Pilot {
             pitch: tilt(forward),
             // The flight code holds the heading by itself; a pilot only mends what is seen to be off.
             yaw: if heading.abs() > 0.05 { yaw.clamp(-0.3, 0.3) } else { 0.0 },
+            mode: FlightMode::Angle,
         }
     }
 
@@ -335,6 +346,7 @@ mod tests {
             roll: Some(2.0 / 3.0),
             pitch: None,
             yaw: None,
+            mode: FlightMode::Angle,
         }];
         let flying = PilotScript { base: Base::Centred { throttle: 0.5 }, script, ..hold() };
         let mut pilot = Pilot::new(&flying, 60.0, KNOWLEDGE, &start);

@@ -169,3 +169,58 @@ fn a_vehicle_too_heavy_to_fly_stays_on_the_ground() {
     assert_eq!((outcome.crash, outcome.position_error_max_m), (None, 0.0));
     assert!(outcome.tilt_max_deg < 1.0);
 }
+
+/// True body rates, °/s, and the true tilt, one entry a millisecond.
+#[derive(Default)]
+struct Turns {
+    rates_deg_s: Vec<[f64; 3]>,
+    tilt_deg: Vec<f64>,
+}
+
+impl Observer for Turns {
+    fn step(&mut self, view: &StepView) {
+        let rates = <[f64; 3]>::from(view.truth.rates);
+        self.rates_deg_s.push(rates.map(f64::to_degrees));
+        self.tilt_deg.push(libm::acos(view.truth.cos_tilt().min(1.0)).to_degrees());
+    }
+}
+
+#[test]
+fn in_rate_mode_the_sticks_command_rates_and_centred_ones_hold_any_tilt() {
+    let moves = "
+        [[pilot.move]]
+        at_s = 15.0
+        for_s = 0.3
+        roll = 0.5
+        mode = \"rate\"
+        [[pilot.move]]
+        at_s = 15.3
+        for_s = 0.6
+        throttle = 0.6
+        mode = \"rate\"
+        [[pilot.move]]
+        at_s = 15.9
+        for_s = 0.3
+        roll = -0.5
+        mode = \"rate\"\n";
+    let pilot = "[pilot]\nkind = \"script\"\nbase = \"hold\"\n";
+    let scene = Scene::parse("rate", &format!("include = \"hover\"\n{pilot}{moves}")).unwrap();
+    let mut turns = Turns::default();
+    let outcome = Flight::new(&scene, scene.seed).run(&mut turns);
+    assert_eq!((outcome.crash, outcome.final_state), (None, ArmState::Disarmed), "{outcome:?}");
+
+    // Half of full stick is half of 180 °/s. The sticks are 20 ms late, the loop settles in 0.15 s.
+    let p = scene.config.params.control;
+    let asked = f64::from(0.5 * p.max_stick_rate_rad_s).to_degrees();
+    for [x, y, z] in &turns.rates_deg_s[15_200..15_300] {
+        assert!(
+            (x - asked).abs() < 0.1 * asked && y.abs() < 3.0 && z.abs() < 3.0,
+            "{x} {y} {z}, asked {asked}"
+        );
+    }
+    // Centred, it stays as tilted as it is: by angles it would be level after 0.5 s.
+    let held = &turns.tilt_deg[15_500..15_900];
+    let (least, most) = held.iter().fold((f64::MAX, 0.0_f64), |(l, m), t| (l.min(*t), m.max(*t)));
+    println!("asked {asked:.1} deg/s; held {least:.1} to {most:.1} deg");
+    assert!(least > 15.0 && most - least < 4.0, "{least} to {most}");
+}

@@ -1,6 +1,7 @@
 //! The tables and keys of a scene file, with their units in the keys.
 
 use flight_core::geometry::Vec3;
+use flight_core::rc::FlightMode;
 use serde::Deserialize;
 
 use super::check::{unknown, within};
@@ -254,13 +255,24 @@ struct MoveTable {
     roll: Option<f64>,
     pitch: Option<f64>,
     yaw: Option<f64>,
+    #[serde(default)]
+    mode: Mode,
+}
+
+/// Position of the mode switch.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "snake_case")]
+enum Mode {
+    #[default]
+    Angle,
+    Rate,
 }
 
 impl Pilot {
     pub fn build(&self, ball_joint: bool) -> Result<PilotScript, InputError> {
         within("pilot.arm_at_s", self.arm_at_s, 0.0, 1e6, "s")?;
-        // The gesture is held for 1.2 s, and the sticks come back in 0.3.
-        within("pilot.take_off_at_s", self.take_off_at_s, self.arm_at_s + 1.5, 1e6, "s")?;
+        // The gesture is held for 1.2 s; 1.5 s after its start the motors turn.
+        within("pilot.take_off_at_s", self.take_off_at_s, self.arm_at_s + 1.6, 1e6, "s")?;
         if let Some(before_end_s) = self.land_before_end_s {
             within("pilot.land_before_end_s", before_end_s, 0.0, 1e6, "s")?;
         }
@@ -306,8 +318,12 @@ impl Pilot {
                     within(field, stick, low, 1.0, "of full stick")?;
                 }
             }
-            let MoveTable { at_s, for_s, throttle, roll, pitch, yaw } = *m;
-            script.push(Move { at_s, for_s, throttle, roll, pitch, yaw });
+            let MoveTable { at_s, for_s, throttle, roll, pitch, yaw, mode } = *m;
+            let mode = match mode {
+                Mode::Angle => FlightMode::Angle,
+                Mode::Rate => FlightMode::Rate,
+            };
+            script.push(Move { at_s, for_s, throttle, roll, pitch, yaw, mode });
         }
         let Self { arm_at_s, take_off_at_s, land_before_end_s, .. } = *self;
         Ok(PilotScript { plan: Plan { arm_at_s, take_off_at_s, height_m, land_before_end_s }, base, script })

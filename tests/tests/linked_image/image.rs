@@ -15,6 +15,10 @@ pub struct Image {
     pub vectors: Vec<u32>,
     /// `STACK` of memory.x.
     pub stack_bytes: u32,
+    /// What is programmed: vectors, code, constants, and the first values of variables.
+    pub flash_bytes: u32,
+    /// What variables take.
+    pub ram_bytes: u32,
 }
 
 pub struct Symbol {
@@ -28,6 +32,7 @@ impl Image {
         let bytes = std::fs::read(path).unwrap();
         let elf = object::File::parse(&*bytes).unwrap();
         let bytes_of = |name| elf.section_by_name(name).unwrap().data().unwrap().to_vec();
+        let size_of = |name| elf.section_by_name(name).map_or(0, |section| section.size() as u32);
         let address_of = |name| elf.section_by_name(name).unwrap().address() as u32;
         let mut functions: BTreeMap<u32, Symbol> = BTreeMap::new();
         let mut mapping = BTreeMap::from([".rodata", ".data"].map(|name| (address_of(name), false)));
@@ -67,6 +72,8 @@ impl Image {
             mapping,
             vectors: words.filter(|&handler| handler != 0).map(|handler| handler & !1).collect(),
             stack_bytes: stack["_stack_start"] - stack["_stack_end"],
+            flash_bytes: [".vector_table", ".text", ".rodata", ".data"].map(size_of).iter().sum(),
+            ram_bytes: [".data", ".bss", ".uninit"].map(size_of).iter().sum(),
         }
     }
 
@@ -78,6 +85,8 @@ impl Image {
             mapping: [(0, true)].into(),
             vectors: Vec::new(),
             stack_bytes: 0,
+            flash_bytes: 0,
+            ram_bytes: 0,
         };
         let mut bytes = Vec::new();
         for (name, code) in functions {

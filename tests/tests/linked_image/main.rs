@@ -143,7 +143,18 @@ fn the_stack_holds_the_worst_nesting_of_handlers() {
         println!("log {log}");
         let bound = stack_bound(image).unwrap_or_else(|why| panic!("log {log}: {why}"));
         assert!(bound <= image.stack_bytes, "{bound} bytes of stack, and there are {}", image.stack_bytes);
+        if *log == "trace" {
+            tests::budget("bytes", "stack", bound);
+        }
     }
+}
+
+#[test]
+#[ignore = "builds the firmware for the board"]
+fn flash_and_ram_keep_their_budgets() {
+    let image = flight_image("info");
+    tests::budget("bytes", "flash", image.flash_bytes);
+    tests::budget("bytes", "static RAM", image.ram_bytes);
 }
 
 /// The most stack that reset and the worst nesting of handlers take; prints how it comes about.
