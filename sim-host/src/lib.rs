@@ -5,6 +5,7 @@
 #![cfg_attr(test, allow(clippy::disallowed_methods))]
 #![warn(missing_docs)]
 
+pub mod allan;
 pub mod attitude_error;
 pub mod chart;
 pub mod chips;
