@@ -19,6 +19,7 @@ pub mod confidence;
 pub mod fit;
 pub mod noise;
 pub mod phase;
+pub mod recording;
 pub mod statistic;
 pub mod taus;
 
