@@ -10,7 +10,7 @@ use std::error::Error;
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
-use sim_host::chart::{TIME, Chart, Line, Mark, Panel, Stroke, colour};
+use sim_host::chart::{Chart, Line, Mark, Panel, Stroke, TIME, colour};
 use sim_host::flight::{Flight, Outcome};
 use sim_host::output_file::OutputFile;
 use sim_host::report::figures::{ESTIMATE, TARGET, TRUTH, line, marks, panel};

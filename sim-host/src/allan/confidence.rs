@@ -73,7 +73,7 @@ impl Differences {
         let lags = self.terms.min((d + 1.0) * self.stride);
         let long = r >= d + 1.0;
         let modified = self.filter == 1.0 && self.stride == self.m && self.m > 1.0;
-        if lags <= LONGEST_SUM && !(self.alpha == 2 && !modified) {
+        if lags <= LONGEST_SUM && (modified || self.alpha != 2) {
             // With averages as long as this the discrete filter is the continuous one.
             let continuous = !modified && self.alpha <= 0 && self.m * (d + 1.0) > LONGEST_SUM;
             let filter = if continuous { f64::INFINITY } else { self.filter };

@@ -70,11 +70,19 @@ impl Coefficient {
     /// Its unit, for a signal in this unit.
     pub fn unit(self, of: &str) -> String {
         match self {
-            Self::Quantization => format!("{of}·s"),
+            // What is per second loses it to the s of Q, and gains a power from that of R.
+            Self::Quantization => match of.strip_suffix("/s") {
+                Some(angle) => angle.into(),
+                None => format!("{of}·s").replace("/s²·s", "/s"),
+            },
             Self::WhiteNoise => format!("{of}/√Hz"),
             Self::BiasInstability => of.into(),
             Self::RateRandomWalk => format!("{of}/√s"),
-            Self::RateRamp => format!("{of}/s"),
+            Self::RateRamp => match (of.strip_suffix("/s"), of.strip_suffix("/s²")) {
+                (Some(angle), _) => format!("{angle}/s²"),
+                (_, Some(velocity)) => format!("{velocity}/s³"),
+                _ => format!("{of}/s"),
+            },
         }
     }
 
@@ -202,6 +210,7 @@ fn deviance(points: &[Point], squares: &Squares) -> f64 {
 
 /// The best model of these terms, with the squares of the others held at `fixed`; its information matrix too.
 /// `None` if a square comes out negative or the terms can't be told apart.
+#[expect(clippy::needless_range_loop, reason = "matrices are indexed by row and column")]
 fn best(points: &[Point], terms: &[usize], fixed: &Squares) -> Option<(Squares, [[f64; 5]; 5])> {
     let mut squares = *fixed;
     let mut expected: Vec<f64> = points.iter().map(|point| point.variance).collect();
@@ -249,6 +258,7 @@ fn solve(matrix: &[[f64; 5]; 5], right: &[f64; 5], n: usize) -> Option<[f64; 5]>
     Some(solved)
 }
 
+#[expect(clippy::needless_range_loop, reason = "matrices are indexed by row and column")]
 fn inverse(matrix: &[[f64; 5]; 5], n: usize) -> Option<[[f64; 5]; 5]> {
     let scale = |i: usize| libm::sqrt(matrix[i][i]);
     if (0..n).any(|i| !(matrix[i][i] > 0.0 && matrix[i][i].is_finite())) {

@@ -17,8 +17,10 @@
 
 pub mod confidence;
 pub mod fit;
+pub mod model;
 pub mod noise;
 pub mod phase;
+pub mod plot;
 pub mod recording;
 pub mod statistic;
 pub mod taus;

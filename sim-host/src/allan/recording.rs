@@ -302,9 +302,7 @@ impl Builder {
             Some(value) if value.is_nan() => return Err(self.gap(cell)),
             _ => {
                 let allowed = format!("must be a number from -{LARGEST:e} to {LARGEST:e}");
-                return Err(InputError::new(allowed)
-                    .field(&self.name)
-                    .value(String::from_utf8_lossy(cell)));
+                return Err(InputError::new(allowed).field(&self.name).value(String::from_utf8_lossy(cell)));
             }
         };
         match (self.last, self.rows_per_value) {
@@ -392,14 +390,7 @@ struct Stamping {
 
 impl Stamping {
     fn new(at: usize) -> Self {
-        Self {
-            at,
-            first: 0.0,
-            last: 0.0,
-            shortest: (f64::INFINITY, 0),
-            longest: (0.0, 0),
-            digits: 0,
-        }
+        Self { at, first: 0.0, last: 0.0, shortest: (f64::INFINITY, 0), longest: (0.0, 0), digits: 0 }
     }
 
     fn take(&mut self, cell: &[u8], row: u64, line: u64, decimal_comma: bool) -> Result<(), InputError> {
@@ -507,10 +498,10 @@ fn has_header(first: &[String], others: &[Vec<String>], separator: u8) -> Result
         }
     }
     match (text_above_numbers, number_above_numbers) {
-        (true, true) if first.iter().all(|cell| !cell.is_empty()) => Err(InputError::new(
-            "the first row is partly text and partly numbers: say --header yes or no",
-        )
-        .line(1)),
+        (true, true) if first.iter().all(|cell| !cell.is_empty()) => {
+            Err(InputError::new("the first row is partly text and partly numbers: say --header yes or no")
+                .line(1))
+        }
         (true, false) => Ok(true),
         (false, false) => Ok(!first.iter().any(is_number)),
         _ => Ok(false),

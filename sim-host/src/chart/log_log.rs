@@ -120,9 +120,10 @@ impl Range {
     /// Values for lines, and those of them that are labelled with their texts.
     fn ticks(self, most: usize) -> (Vec<f64>, Vec<(f64, String)>) {
         let power = |k: i32| libm::pow(10.0, f64::from(k));
-        let all = || (libm::floor(self.low) as i32..=libm::floor(self.high) as i32).flat_map(|k| {
-            [1.0, 2.0, 5.0].into_iter().map(move |digit| (digit, k))
-        });
+        let all = || {
+            (libm::floor(self.low) as i32..=libm::floor(self.high) as i32)
+                .flat_map(|k| [1.0, 2.0, 5.0].into_iter().map(move |digit| (digit, k)))
+        };
         let inside = |&(digit, k): &(f64, i32)| (0.0..=1.0).contains(&self.place(digit * power(k)));
         let fine: Vec<(f64, i32)> = all().filter(inside).collect();
         let whole: Vec<(f64, i32)> = self.decades().map(|k| (1.0, k)).collect();
@@ -269,8 +270,7 @@ impl Panel {
                 let _ = write!(svg, "<path class=\"f\" style=\"fill:{}\" d=\"M{d}Z\"/>", band.colour);
             }
         }
-        let projection =
-            Projection { time_s: (x.low, x.high), values: (y.low, y.high), width, height };
+        let projection = Projection { time_s: (x.low, x.high), values: (y.low, y.high), width, height };
         for line in &self.lines {
             let log = |v: f64| if v > 0.0 { libm::log10(v) } else { f64::NAN };
             let points: Vec<(f64, f64)> = line.points.iter().map(|&(x, y)| (log(x), log(y))).collect();
@@ -297,17 +297,20 @@ impl Panel {
             let leftwards = x + 8.0 + text_width(&label.text) > left + width;
             let (class, x) = if leftwards { ("q e", x - 8.0) } else { ("q", x + 8.0) };
             let y = (y - 7.0).clamp(top + 12.0, top + height - 6.0);
-            let attributes = format!("class=\"{class}\" style=\"fill:{}\" x=\"{}\" y=\"{}\"", label.colour, px(x), px(y));
+            let attributes =
+                format!("class=\"{class}\" style=\"fill:{}\" x=\"{}\" y=\"{}\"", label.colour, px(x), px(y));
             text(svg, &attributes, &label.text);
         }
         let bottom = top + height;
         let _ = write!(svg, "<path class=\"a\" d=\"M{} {}h{w}\"/>", px(left), px(bottom));
         for (value, label) in x_labels {
-            let attributes = format!("class=\"k c\" x=\"{}\" y=\"{}\"", px(left + along(value)), px(bottom + 16.0));
+            let attributes =
+                format!("class=\"k c\" x=\"{}\" y=\"{}\"", px(left + along(value)), px(bottom + 16.0));
             text(svg, &attributes, &label);
         }
         for (value, label) in y_labels {
-            let attributes = format!("class=\"k e\" x=\"{}\" y=\"{}\"", px(left - 7.0), px(top + up(value) + 4.0));
+            let attributes =
+                format!("class=\"k e\" x=\"{}\" y=\"{}\"", px(left - 7.0), px(top + up(value) + 4.0));
             text(svg, &attributes, &label);
         }
         let attributes = format!("class=\"u e\" x=\"{}\" y=\"{}\"", px(left + width), px(bottom + 31.0));
@@ -354,12 +357,20 @@ mod tests {
     use crate::chart::colour;
 
     fn chart(points: Vec<(f64, f64)>) -> Chart {
-        let band = Band { colour: colour::SKY, points: points.iter().map(|&(x, y)| (x, y * 0.9, y * 1.1)).collect() };
+        let band = Band {
+            colour: colour::SKY,
+            points: points.iter().map(|&(x, y)| (x, y * 0.9, y * 1.1)).collect(),
+        };
         let label = Label { at: (1.0, 0.1), text: "N < 1".into(), colour: colour::BLACK };
         let stroke = Stroke::solid(colour::BLUE, 1.5);
         let line = Line { label: "a & b".into(), stroke, points, dots: true, sets_axes: true };
-        let panel =
-            Panel { title: "x".into(), unit: "°/s".into(), bands: vec![band], lines: vec![line], labels: vec![label] };
+        let panel = Panel {
+            title: "x".into(),
+            unit: "°/s".into(),
+            bands: vec![band],
+            lines: vec![line],
+            labels: vec![label],
+        };
         Chart {
             width: 400.0,
             in_a_row: 2,

@@ -1,5 +1,6 @@
 //! The command line: arguments in, a result for people or for programs out.
 
+mod allan;
 mod fly;
 mod listing;
 mod progress;
@@ -39,6 +40,8 @@ enum Command {
     Sense(SenseArguments),
     /// Run the flight code's estimators over a recorded log
     Estimate(EstimateArguments),
+    /// Read a sensor's errors off a recording of it at rest: Allan deviations and a fit
+    Allan(allan::AllanArguments),
     /// Show what a scene simulates, in order, what it leaves out, and what each effect costs
     Plan(PlanArguments),
     /// List the built-in scenes and their effects
@@ -161,6 +164,7 @@ pub fn run() -> ExitCode {
         Command::Fly(a) => fly::run(a),
         Command::Sense(a) => recordings::sense(a),
         Command::Estimate(a) => recordings::estimate(a),
+        Command::Allan(a) => allan::run(a),
         Command::Plan(a) => listing::plan(a),
         Command::Scenes => listing::scenes(),
     };
