@@ -16,6 +16,7 @@ pub mod flight;
 pub mod input_error;
 pub mod log;
 pub mod output_file;
+pub mod paper;
 pub mod pilot;
 pub mod plan;
 pub mod random;

@@ -314,10 +314,11 @@ struct Chosen {
     deviance: f64,
 }
 
-/// The model that says most for its price.
-fn choose(points: &[Point]) -> Option<Chosen> {
+/// The model that says most for its price. `shortest`: whether these are all points from the first on. Else
+/// something unknown stands at short τ, and a slope of −1 may as well be its tail as Q.
+fn choose(points: &[Point], shortest: bool) -> Option<Chosen> {
     let mut chosen: Option<Chosen> = None;
-    for subset in 1_u32..32 {
+    for subset in (1_u32..32).filter(|subset| shortest || subset & 1 == 0) {
         let terms: Vec<usize> = (0..5).filter(|i| subset & (1 << i) != 0).collect();
         if terms.len() >= points.len() {
             continue;
@@ -371,7 +372,7 @@ pub fn fit(points: &[Point], record_s: f64, step: Option<f64>) -> Fit {
     }
     let suffix = |from: usize| {
         let points = &points[from..];
-        choose(points).map(|chosen| (points, chosen))
+        choose(points, from == 0).map(|chosen| (points, chosen))
     };
     let last_start = points.len() - LEAST_POINTS;
     // A point that is left out is a parameter of its own, at the same price.
@@ -408,6 +409,10 @@ pub fn fit(points: &[Point], record_s: f64, step: Option<f64>) -> Fit {
                 let uncertainty = libm::sqrt(covariance[i][i] * widening) / (2.0 * value);
                 Found::Value { value, uncertainty }
             }
+            None if term == 0 && start > 0 => Found::Hidden {
+                reason: "the short τ, where it would be, are left out".into(),
+                at_most: at_most(points, &chosen, term, widening),
+            },
             None => Found::Hidden {
                 reason: format!(
                     "{}: the rest hides it up to τ = {:.4} s",

@@ -3,6 +3,7 @@
 mod allan;
 mod fly;
 mod listing;
+mod paper;
 mod progress;
 mod recordings;
 
@@ -44,6 +45,8 @@ enum Command {
     Allan(allan::AllanArguments),
     /// Show what a scene simulates, in order, what it leaves out, and what each effect costs
     Plan(PlanArguments),
+    /// Make the paper's tables and figures again, on one page with the numbers beside it
+    Paper(paper::PaperArguments),
     /// List the built-in scenes and their effects
     Scenes,
 }
@@ -166,6 +169,7 @@ pub fn run() -> ExitCode {
         Command::Estimate(a) => recordings::estimate(a),
         Command::Allan(a) => allan::run(a),
         Command::Plan(a) => listing::plan(a),
+        Command::Paper(a) => paper::run(a),
         Command::Scenes => listing::scenes(),
     };
     match answer {
