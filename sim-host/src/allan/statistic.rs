@@ -221,7 +221,10 @@ pub fn variances(
     sums.iter().zip(factors).map(finished).collect()
 }
 
-/// About how long [`variances`] takes, s.
+/// Time of a factor's bounds, ns, the same way: what long lists of τ take besides their terms.
+const NS_PER_FACTOR: f64 = 60_000.0;
+
+/// About how long [`variances`] and the bounds take, s.
 pub fn estimate_s(statistic: Statistic, samples: usize, factors: &[usize], threads: usize) -> f64 {
     let terms = |m: usize| statistic.terms(samples + 1, m) as f64;
     let weight = match statistic {
@@ -229,5 +232,6 @@ pub fn estimate_s(statistic: Statistic, samples: usize, factors: &[usize], threa
         Statistic::Hadamard | Statistic::Standard => 2.0,
         Statistic::Modified | Statistic::Total => 3.0,
     };
-    factors.iter().map(|&m| terms(m)).sum::<f64>() * weight * NS_PER_TERM * 1e-9 / threads.max(1) as f64
+    let all_terms: f64 = factors.iter().map(|&m| terms(m)).sum();
+    (all_terms * weight * NS_PER_TERM / threads.max(1) as f64 + factors.len() as f64 * NS_PER_FACTOR) * 1e-9
 }
