@@ -52,21 +52,28 @@ fn white_noise_is_white_noise_and_nothing_else_and_the_uncertainty_is_right() {
 }
 
 #[test]
-fn a_quantized_angle_shows_q() {
-    let mut w = white(1, N * RATE_HZ.sqrt());
-    let quantum = 0.05;
-    let (mut angle, mut last) = (0.0, 0.0);
-    let samples = hour().map(|_| {
-        angle += w() / RATE_HZ;
-        let read = (angle / quantum).round() * quantum;
-        let rate = (read - last) * RATE_HZ;
-        last = read;
-        rate
-    });
-    let fit = fit_of(samples.collect(), RATE_HZ, None);
+fn a_quantized_angle_shows_q_where_it_is_noise() {
+    let fit_with = |quantum: f64| {
+        let mut w = white(1, N * RATE_HZ.sqrt());
+        let (mut angle, mut last) = (0.0, 0.0);
+        let samples = hour().map(|_| {
+            angle += w() / RATE_HZ;
+            let read = (angle / quantum).round() * quantum;
+            let rate = (read - last) * RATE_HZ;
+            last = read;
+            rate
+        });
+        fit_of(samples.collect(), RATE_HZ, None)
+    };
+    // The angle walks 0.003 a sample: less than three samples to a quantum.
+    let quantum = 0.008;
+    let fit = fit_with(quantum);
     let [q, n, ..] = values(&fit);
-    // At short τ rounding follows the angle: the model is right from where N √τ passes the quantum.
     assert!(about(q, quantum / 12_f64.sqrt(), 0.1) && about(n, N, 0.03), "{fit:?}");
+    // Hundreds of samples to a quantum: at short τ rounding follows the angle, and whatever is left there may be
+    // anything. N is still right.
+    let [q, n, ..] = values(&fit_with(0.05));
+    assert!(q.is_none() && about(n, N, 0.05), "{q:?} {n:?}");
 }
 
 #[test]
