@@ -1,9 +1,11 @@
 //! The command line: arguments in, a result for people or for programs out.
 
+mod allan;
 mod fly;
 mod hil;
 mod interrupt;
 mod listing;
+mod paper;
 mod progress;
 mod recordings;
 
@@ -42,8 +44,12 @@ enum Command {
     Sense(SenseArguments),
     /// Run the flight code's estimators over a recorded log
     Estimate(EstimateArguments),
+    /// Read a sensor's errors off a recording of it at rest: Allan deviations and a fit
+    Allan(allan::AllanArguments),
     /// Show what a scene simulates, in order, what it leaves out, and what each effect costs
     Plan(PlanArguments),
+    /// Make the paper's tables and figures again, on one page with the numbers beside it
+    Paper(paper::PaperArguments),
     /// List the built-in scenes and their effects
     Scenes,
 }
@@ -211,7 +217,9 @@ pub fn run() -> ExitCode {
         Command::Hil(a) => hil::run(a),
         Command::Sense(a) => recordings::sense(a),
         Command::Estimate(a) => recordings::estimate(a),
+        Command::Allan(a) => allan::run(a),
         Command::Plan(a) => listing::plan(a),
+        Command::Paper(a) => paper::run(a),
         Command::Scenes => listing::scenes(),
     };
     match answer {
