@@ -99,8 +99,6 @@ impl<T: Real, const N: usize> Coning<T, N> {
 
 #[cfg(test)]
 mod tests {
-    extern crate std;
-
     use super::*;
     use flight_core::geometry::vec3;
     use std::vec::Vec;

@@ -7,6 +7,11 @@
 #![no_std]
 #![forbid(unsafe_code)]
 #![warn(missing_docs)]
+// Tests measure against std, an independent implementation.
+#![cfg_attr(test, allow(clippy::disallowed_methods))]
+
+#[cfg(test)]
+extern crate std;
 
 pub mod integration;
 pub mod prefilter;
