@@ -92,7 +92,8 @@ pub fn sin_cos(x: f32) -> (f32, f32) {
 #[inline]
 pub fn atan2(y: f32, x: f32) -> f32 {
     if y == 0.0 {
-        return if x < 0.0 { PI } else { 0.0 };
+        // 0 times x: 0, but for a NaN, which stays one.
+        return if x < 0.0 { PI } else { 0.0 * x };
     }
     direction(y, x)
 }
@@ -195,6 +196,9 @@ mod tests {
             [(0.0, 0.0, 0.0), (0.0, -1.0, PI), (1.0, 0.0, FRAC_PI_2), (-1.0, 0.0, -FRAC_PI_2)]
         {
             assert_eq!(atan2(y, x), angle, "({y}, {x})");
+        }
+        for (y, x) in [(0.0, f32::NAN), (f32::NAN, 0.0), (f32::NAN, 1.0), (-1.0, f32::NAN)] {
+            assert!(atan2(y, x).is_nan(), "({y}, {x})");
         }
     }
 
