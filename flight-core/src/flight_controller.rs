@@ -50,7 +50,7 @@ pub struct FlightController {
     calibrated: bool,
     descent_throttle: f32,
 
-    /// Prefiltered body rates less the bias, rad/s.
+    /// Prefiltered body rates less the bias, learnt at rest and by the estimator, rad/s.
     rates: Vec3<f32>,
     /// A frame whose sticks are taken in the next step.
     waiting: Option<RcFrame>,
@@ -226,9 +226,13 @@ impl FlightController {
         let accel = self.accel_prefilter.step(self.accel_model.apply(sample.accel));
         if !self.arming.state().flies() {
             self.gyro_zero.learn(gyro, accel, dt_s);
+            if self.zeroed_and_still() {
+                self.estimator.gyro_zeroed();
+            }
         }
-        self.rates = gyro - self.gyro_zero.bias();
-        self.estimator.update(self.rates, accel, mag, dt_s);
+        let zeroed = gyro - self.gyro_zero.bias();
+        self.estimator.update(zeroed, accel, mag, dt_s);
+        self.rates = zeroed - self.estimator.gyro_bias();
     }
 
     /// After a gap in the samples the filters' pasts are no longer theirs.
@@ -240,7 +244,14 @@ impl FlightController {
         self.gyro_zero.interrupt();
         if let Ok(estimator) = Estimator::new(&self.estimator_params) {
             self.estimator = estimator;
+            if self.arming.state().flies() {
+                self.estimator.gyro_zeroed();
+            }
         }
+    }
+
+    fn zeroed_and_still(&self) -> bool {
+        self.gyro_zero.still() && self.gyro_zero.zeroed()
     }
 
     #[inline(always)]
@@ -260,11 +271,10 @@ impl FlightController {
             // The other conditions stand in no row of a flight: `Conditions::IN_FLIGHT`.
             return Conditions::of(always);
         }
-        let still = self.gyro_zero.still() && self.gyro_zero.zeroed();
         // A tilt that is not a number is not level.
         let level = self.estimator.down().z >= ARM_COS_TILT;
         let on_the_ground = [
-            (Conditions::NOT_STILL, !still),
+            (Conditions::NOT_STILL, !self.zeroed_and_still()),
             (Conditions::NOT_LEVEL, !level),
             (Conditions::NO_CALIBRATION, !self.calibrated),
             (Conditions::BATTERY_LOW, self.battery.low()),
@@ -323,13 +333,13 @@ impl FlightController {
         self.estimator.attitude()
     }
 
-    /// Body rates after prefilter and gyro zero, rad/s.
+    /// Body rates after prefilter, gyro zero and the estimator's bias, rad/s.
     pub fn rates_rad_s(&self) -> Vec3<f32> {
         self.rates
     }
 
-    /// The gyroscope's bias as learnt at rest, rad/s.
+    /// The gyroscope's bias as learnt at rest, and what the estimator has found since, rad/s.
     pub fn gyro_bias_rad_s(&self) -> Vec3<f32> {
-        self.gyro_zero.bias()
+        self.gyro_zero.bias() + self.estimator.gyro_bias()
     }
 }

@@ -72,11 +72,12 @@ fn steps_on_the_host() -> Vec<Words> {
 }
 
 /// The stages that have a budget.
-const STAGES: [&str; 9] = [
+const STAGES: [&str; 10] = [
     "calibration of 3 sensors",
     "9 prefilters",
     "estimator paper 9-axis",
     "estimator flight 9-axis",
+    "estimator robust 9-axis",
     "control",
     "mixer and ESC",
     "sticks",

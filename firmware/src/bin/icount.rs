@@ -268,6 +268,7 @@ fn stages(gauge: &mut Gauge) -> Result<(), ConfigError> {
         ("paper", "estimator paper 9-axis", "estimator paper 6-axis"),
         ("paper-literal", "estimator paper-literal 9-axis", "estimator paper-literal 6-axis"),
         ("flight", "estimator flight 9-axis", "estimator flight 6-axis"),
+        ("robust", "estimator robust 9-axis", "estimator robust 6-axis"),
     ] {
         let preset = EstimatorParams::PRESETS.iter().find(|(preset, _)| *preset == name);
         let (_, preset) = preset.expect("a preset of flight-core");

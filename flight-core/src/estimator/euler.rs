@@ -1,6 +1,6 @@
 //! Eq 18 on roll, pitch and yaw, each by itself, as the paper has it.
 
-use super::{EstimatorParams, MIN_HORIZONTAL_FIELD_SQUARED, MIN_SPECIFIC_FORCE_SQUARED, Weight};
+use super::{MIN_HORIZONTAL_FIELD_SQUARED, MIN_SPECIFIC_FORCE_SQUARED, Weight};
 use crate::arithmetic::{atan2, sin_cos, sqrt, wrap_pi};
 use crate::geometry::{Quaternion, Vec3, vec3};
 
@@ -29,10 +29,10 @@ pub struct EulerFilter {
 }
 
 impl EulerFilter {
-    pub(super) fn new(params: &EstimatorParams) -> Self {
+    pub(super) fn new(weight: Weight, declination_rad: f32) -> Self {
         Self {
-            weight: params.weight,
-            declination_rad: params.declination_rad,
+            weight,
+            declination_rad,
             roll: 0.0,
             pitch: 0.0,
             yaw: 0.0,

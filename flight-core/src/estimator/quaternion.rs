@@ -1,7 +1,7 @@
 //! Eq 18 on a quaternion: predict by the gyroscope, then go the share 1 − α of the shortest rotation from
 //! the prediction to the measurement, first in tilt, then in heading.
 
-use super::{EstimatorParams, MIN_HORIZONTAL_FIELD_SQUARED, MIN_SPECIFIC_FORCE_SQUARED, Weight};
+use super::{MIN_HORIZONTAL_FIELD_SQUARED, MIN_SPECIFIC_FORCE_SQUARED, Weight};
 use crate::arithmetic::{atan2, wrap_pi};
 use crate::geometry::{Quaternion, Vec3, vec3};
 
@@ -27,10 +27,10 @@ pub struct QuaternionFilter {
 }
 
 impl QuaternionFilter {
-    pub(super) fn new(params: &EstimatorParams) -> Self {
+    pub(super) fn new(weight: Weight, declination_rad: f32) -> Self {
         Self {
-            weight: params.weight,
-            declination_rad: params.declination_rad,
+            weight,
+            declination_rad,
             q: Quaternion::IDENTITY,
             down: Vec3::Z,
             tilt_age_s: 0.0,
