@@ -5,7 +5,7 @@
 //! link that is lost must find the port listening when it comes back.
 
 use flight_core::rc::ChannelMap;
-use flight_core::sample::{LinkStatus, RcFrame};
+use flight_core::sample::RcFrame;
 use receiver::{Line, Protocol, Receiver};
 
 /// How long the port listens for one protocol, µs.
@@ -65,14 +65,7 @@ impl Pilot {
             self.frames += 1;
             return None;
         }
-        let status = if frame.failsafe {
-            LinkStatus::Failsafe
-        } else if frame.frame_lost {
-            LinkStatus::FrameLost
-        } else {
-            LinkStatus::Good
-        };
-        Some(self.channels.frame(&frame.channels, status))
+        Some(frame.to_rc(&self.channels))
     }
 
     /// How the port must be set up from now on, if that is to change.

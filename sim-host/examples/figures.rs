@@ -10,7 +10,7 @@ use std::error::Error;
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
-use sim_host::chart::{Chart, Line, Mark, Panel, Stroke, colour};
+use sim_host::chart::{Chart, Line, Mark, Panel, Stroke, TIME, colour};
 use sim_host::flight::{Flight, Outcome};
 use sim_host::output_file::OutputFile;
 use sim_host::report::figures::{ESTIMATE, TARGET, TRUTH, line, marks, panel};
@@ -70,6 +70,7 @@ fn hover() -> Result<Chart, Box<dyn Error>> {
         )),
         description: "Height, error of the estimated attitude and ESC pulses during the hover scene".into(),
         time_s: (0.0, scene.duration_s),
+        x_title: TIME,
         panels: vec![
             panel("Height", "m", 90.0, height),
             Panel { covers: vec![0.0, 1.0], ..panel("Attitude error", "°", 42.0, error) },
@@ -112,6 +113,7 @@ fn paper_cannot_fly() -> Result<Chart, Box<dyn Error>> {
                       with the estimator paper they part, and the vehicle tips over"
             .into(),
         time_s: (13.0, 25.0),
+        x_title: TIME,
         panels: vec![
             strip("Tilt with the estimator flight, τ = 10 s", &good, ["truth", "estimate"]),
             strip("Tilt with the estimator paper, τ = 0.323 s", &bad, ["", ""]),

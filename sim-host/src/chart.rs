@@ -16,6 +16,7 @@
 //! flights, and set in the reader's own fonts. Lines are thinned to what a screen can show; a peak of a
 //! single sample stays.
 
+pub mod log_log;
 mod path;
 mod ticks;
 
@@ -131,13 +132,18 @@ pub struct Chart {
     pub heading: Option<(String, String)>,
     /// What is to be seen, for those who do not see it.
     pub description: String,
-    /// First and last time, s.
+    /// First and last time, s, or whatever `x_title` says.
     pub time_s: (f64, f64),
+    /// Name and unit of the axis along the bottom.
+    pub x_title: &'static str,
     /// From top to bottom.
     pub panels: Vec<Panel>,
     /// Moments.
     pub marks: Vec<Mark>,
 }
+
+/// What the axis along the bottom is, as a rule.
+pub const TIME: &str = "time, s";
 
 const LEFT: f64 = 52.0;
 const RIGHT: f64 = 14.0;
@@ -337,7 +343,7 @@ impl Chart {
             text(svg, &format!("class=\"k c\" x=\"{x}\" y=\"{}\"", px(y + 17.0)), &ticks.label(time_s));
         }
         let place = format!("class=\"u e\" x=\"{}\" y=\"{}\"", px(LEFT + self.plot_width()), px(y + 33.0));
-        text(svg, &place, "time, s");
+        text(svg, &place, self.x_title);
     }
 
     /// The marks' labels, above the first plot, whose top is at `bottom`.

@@ -2,19 +2,28 @@
 //!
 //! ```text
 //!  t_k:  truth ──► sensors ──► counts ─┐
-//!        truth, 0.2 s late ──► pilot ──┴──► FlightController::step ──► permit, pulses ──► ESC, rotors
+//!        truth, 0.2 s late ──► pilot ──┴──► Autopilot::step ──► permitted, pulses ──► ESC, rotors
 //!  t_k → t_k+1:  vehicle.advance()
 //! ```
 //!
 //! Gyroscope and accelerometer are sampled every step, the magnetometer a hundred times a second, the
-//! receiver fifty times. Time is integer microseconds.
+//! receiver and the battery fifty times. Time is integer microseconds.
+//!
+//! Samples of the magnetometer arrive at multiples of 10 ms, readings of the battery at multiples of 20 ms,
+//! whatever a scene names: so the board's tasks, which look every 5 and every 20 ms, bring them in the same
+//! step. Frames of the receiver may arrive in any step.
+//!
+//! Who flies is an [`Autopilot`]: the flight code in this process, or the firmware at the far end of a link
+//! ([`crate::hil`]).
 
+mod autopilot;
 mod log;
 
-use flight_core::esc::EscParams;
+use std::convert::Infallible;
+
 use flight_core::geometry::{Quaternion, Vec3, vec3};
 use flight_core::sample::{Battery, Health, Input, RcFrame};
-use flight_core::{ArmState, FlightController, MotorPermit, Output};
+use flight_core::{ArmState, FlightController};
 use xxhash_rust::xxh3::Xxh3;
 
 use crate::attitude_error::{AttitudeError, AttitudeRmse};
@@ -25,15 +34,15 @@ use crate::scene::{DEFAULT_RATE_HZ, MAG_RATE_HZ, Scene};
 use crate::sensors::{Sensors, deliver};
 use crate::vehicle::{State, Vehicle};
 
+pub use autopilot::{Answer, Autopilot};
 pub use log::FlightLog;
 
 /// Length of a step, µs.
 pub const STEP_US: u64 = 1_000_000 / DEFAULT_RATE_HZ as u64;
 const MAG_US: u64 = 1_000_000 / MAG_RATE_HZ as u64;
 const RC_US: u64 = 1_000_000 / FRAME_RATE_HZ as u64;
-
-/// Pulse of a motor that stands still, µs.
-const STOP_US: f32 = EscParams::STANDARD.stop_us;
+/// Time between two readings of the battery, µs.
+const BATTERY_US: u64 = 20_000;
 
 /// The supply where no scene's battery sags: three cells at 3.7 V.
 const SUPPLY: Battery = Battery { voltage_v: 11.1 };
@@ -89,11 +98,9 @@ pub struct StepView<'a> {
     /// What went into the flight controller.
     pub input: &'a Input,
     /// What came out.
-    pub output: &'a Output,
+    pub output: &'a Answer,
     /// Estimated attitude.
     pub estimate: Quaternion<f64>,
-    /// The flight controller, for what else it knows.
-    pub controller: &'a FlightController,
 }
 
 /// Someone who watches a flight: a log, a report, a progress bar.
@@ -161,18 +168,20 @@ impl Outcome {
 }
 
 /// A flight under way.
-pub struct Flight {
+pub struct Flight<A = FlightController> {
     vehicle: Vehicle,
     sensors: Sensors,
     pilot: Option<Pilot>,
     link: Vec<BoxedDelivery<RcFrame>>,
-    controller: FlightController,
+    autopilot: A,
+    state: ArmState,
     max_rotor_rad_s: f64,
     aerobatic: bool,
     steps: u64,
     time_us: u64,
     next_mag_us: u64,
     next_rc_us: u64,
+    next_battery_us: u64,
     airborne: bool,
     judge: Judge,
 }
@@ -188,8 +197,23 @@ struct Judge {
 }
 
 impl Flight {
-    /// The start of a flight of this scene with this seed.
+    /// The start of a flight of this scene with this seed, flown in this process.
     pub fn new(scene: &Scene, seed: u64) -> Self {
+        Self::flown_by(scene.controller(), scene, seed)
+    }
+}
+
+impl<A: Autopilot<Error = Infallible>> Flight<A> {
+    /// Flies to the end, or to the crash.
+    pub fn run(self, observer: &mut impl Observer) -> Outcome {
+        let (outcome, Ok(())) = self.fly(observer);
+        outcome
+    }
+}
+
+impl<A: Autopilot> Flight<A> {
+    /// The start of a flight of this scene with this seed, flown by this autopilot.
+    pub fn flown_by(autopilot: A, scene: &Scene, seed: u64) -> Self {
         let step_s = STEP_US as f64 * 1e-6;
         let rate_hz = f64::from(DEFAULT_RATE_HZ);
         let vehicle =
@@ -203,33 +227,41 @@ impl Flight {
             sensors: scene.sensors(seed, rate_hz, f64::from(MAG_RATE_HZ)),
             pilot,
             link: scene.link(seed, rate_hz).into_iter().map(|(_, effect)| effect).collect(),
-            controller: scene.controller(),
+            autopilot,
+            state: ArmState::default(),
             max_rotor_rad_s: scene.vehicle.max_rad_s,
             aerobatic: scene.aerobatic,
             steps: (scene.duration_s * rate_hz).round() as u64,
             time_us: 0,
             next_mag_us: 0,
             next_rc_us: 0,
+            next_battery_us: 0,
             airborne: false,
             judge: Judge { min_cos_tilt: 1.0, ..Judge::default() },
         }
     }
 
-    /// Flies to the end, or to the crash.
-    pub fn run(mut self, observer: &mut impl Observer) -> Outcome {
+    /// Flies to the end, to the crash, or until the autopilot fails; then with the outcome up to there.
+    pub fn fly(mut self, observer: &mut impl Observer) -> (Outcome, Result<(), A::Error>) {
         for step in 0..self.steps {
-            if let Some(crash) = self.step(observer) {
-                return self.outcome(step + 1, Some((crash, self.time_us as f64 * 1e-6)));
+            match self.step(observer) {
+                Ok(None) => {}
+                Ok(Some(crash)) => {
+                    let at_s = self.time_us as f64 * 1e-6;
+                    return (self.outcome(step + 1, Some((crash, at_s))), Ok(()));
+                }
+                Err(error) => return (self.outcome(step, None), Err(error)),
             }
         }
-        self.outcome(self.steps, None)
+        (self.outcome(self.steps, None), Ok(()))
     }
 
     #[inline(always)]
-    fn step(&mut self, observer: &mut impl Observer) -> Option<Crash> {
+    fn step(&mut self, observer: &mut impl Observer) -> Result<Option<Crash>, A::Error> {
         let input = self.sense();
-        let output = self.controller.step(&input);
-        let estimate = to_f64(self.controller.attitude());
+        let output = self.autopilot.step(&input)?;
+        self.state = output.state;
+        let estimate = to_f64(output.attitude);
         self.judge.take(self.vehicle.state(), estimate, &output);
         observer.step(&StepView {
             time_us: self.time_us,
@@ -240,13 +272,12 @@ impl Flight {
             input: &input,
             output: &output,
             estimate,
-            controller: &self.controller,
         });
-        let wanted = self.esc(output.permit, output.pulses_us);
+        let wanted = self.esc(&output);
         self.vehicle.command(wanted);
         self.vehicle.advance();
         self.time_us += STEP_US;
-        self.crash()
+        Ok(self.crash())
     }
 
     /// What arrives at the flight controller at this time.
@@ -272,19 +303,16 @@ impl Flight {
         if OPTIONAL && !self.link.is_empty() {
             deliver(&mut self.link, &mut rc);
         }
-        let battery = match self.vehicle.battery_v() {
-            Some(voltage_v) if OPTIONAL => Battery { voltage_v: voltage_v as f32 },
-            _ => SUPPLY,
+        let battery = if self.time_us >= self.next_battery_us {
+            self.next_battery_us += BATTERY_US;
+            match self.vehicle.battery_v() {
+                Some(voltage_v) if OPTIONAL => Some(Battery { voltage_v: voltage_v as f32 }),
+                _ => Some(SUPPLY),
+            }
+        } else {
+            None
         };
-        Input {
-            time_us: self.time_us,
-            imu,
-            mag,
-            rc,
-            battery: Some(battery),
-            bench: None,
-            health: Health::default(),
-        }
+        Input { time_us: self.time_us, imu, mag, rc, battery, bench: None, health: Health::default() }
     }
 
     fn rc_frame(&mut self) -> Option<RcFrame> {
@@ -295,13 +323,11 @@ impl Flight {
     /// Rotor speeds that the ESCs ask for: the inverse of flight-core's pulse map, or none at all without a
     /// permit.
     #[inline(always)]
-    fn esc(&self, permit: Option<MotorPermit>, pulses_us: [f32; 4]) -> [f64; 4] {
-        match permit {
-            Some(permit) => permit
-                .apply(pulses_us, STOP_US)
-                .map(|us| self.max_rotor_rad_s * ((f64::from(us) - 1000.0) * 1e-3).clamp(0.0, 1.0)),
-            None => [0.0; 4],
+    fn esc(&self, output: &Answer) -> [f64; 4] {
+        if !output.driven {
+            return [0.0; 4];
         }
+        output.pulses_us.map(|us| self.max_rotor_rad_s * ((f64::from(us) - 1000.0) * 1e-3).clamp(0.0, 1.0))
     }
 
     #[inline(always)]
@@ -335,7 +361,7 @@ impl Flight {
 
     fn outcome(&self, control_steps: u64, crash: Option<(Crash, f64)>) -> Outcome {
         let judge = &self.judge;
-        // A flight has at least one step.
+        // Without a step, which is a flight whose autopilot failed at once, there is no error either.
         let none = AttitudeError { total_rad: 0.0, heading_rad: 0.0, inclination_rad: 0.0 };
         let rmse = judge.rmse.root().unwrap_or(none);
         Outcome {
@@ -347,7 +373,7 @@ impl Flight {
             tilt_max_deg: libm::acos(judge.min_cos_tilt.clamp(-1.0, 1.0)).to_degrees(),
             position_error_max_m: judge.position_error_max_m,
             crash,
-            final_state: self.controller.state(),
+            final_state: self.state,
             digest: judge.digest.digest(),
         }
     }
@@ -355,7 +381,7 @@ impl Flight {
 
 impl Judge {
     #[inline(always)]
-    fn take(&mut self, truth: &State, estimate: Quaternion<f64>, output: &Output) {
+    fn take(&mut self, truth: &State, estimate: Quaternion<f64>, output: &Answer) {
         let error = AttitudeError::between(estimate, truth.attitude);
         self.rmse.add(error);
         self.inclination_max_rad = self.inclination_max_rad.max(error.inclination_rad);

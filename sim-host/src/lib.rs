@@ -5,6 +5,7 @@
 #![cfg_attr(test, allow(clippy::disallowed_methods))]
 #![warn(missing_docs)]
 
+pub mod allan;
 pub mod attitude_error;
 pub mod chart;
 pub mod chips;
@@ -12,9 +13,11 @@ pub mod earth_field;
 pub mod effects;
 pub mod estimate;
 pub mod flight;
+pub mod hil;
 pub mod input_error;
 pub mod log;
 pub mod output_file;
+pub mod paper;
 pub mod pilot;
 pub mod plan;
 pub mod random;

@@ -20,6 +20,7 @@
 mod read;
 mod write;
 
+pub(crate) use read::Records;
 pub use read::{Log, LogReader};
 pub use write::LogWriter;
 

@@ -79,7 +79,7 @@ struct InFlight<'a> {
 impl Observer for InFlight<'_> {
     fn step(&mut self, view: &StepView) {
         if view.time_us.is_multiple_of(self.interval_us) {
-            let moving = view.output.permit.is_some();
+            let moving = view.output.driven;
             self.sampler.sample(&view.moment, moving);
         }
     }

@@ -2,7 +2,7 @@
 
 use flight_core::ArmState;
 use flight_core::arming::{Cause, Event};
-use flight_core::sample::{ImuSample, MagSample, RcFrame};
+use flight_core::sample::{Battery, ImuSample, MagSample, RcFrame};
 use sim_host::flight::{Crash, Flight, Observer, Outcome, STEP_US, StepView};
 use sim_host::scene::Scene;
 
@@ -12,6 +12,7 @@ struct Arrivals {
     imu: Vec<Option<ImuSample>>,
     mag: Vec<Option<MagSample>>,
     rc: Vec<Option<RcFrame>>,
+    battery: Vec<Option<Battery>>,
     events: Vec<(f64, Event)>,
     airborne_steps: usize,
 }
@@ -21,6 +22,7 @@ impl Observer for Arrivals {
         self.imu.push(view.input.imu);
         self.mag.push(view.input.mag);
         self.rc.push(view.input.rc);
+        self.battery.push(view.input.battery);
         self.airborne_steps += usize::from(view.truth.position.z < -1.0);
         if let Some(event) = view.output.event {
             self.events.push((view.time_us as f64 * 1e-6, event));
@@ -144,6 +146,34 @@ const EFFECTS: [&str; 9] = [
     "[effects.mag.disturbance]\nat_s = 1.0\nfor_s = 1.0\nfield_ut = [10.0, 0.0, 0.0]\n",
     "[[fault]]\nkind = \"repeated_sample\"\nsensor = \"mag\"\nat_s = 1.0\nfor_s = 0.1\n",
 ];
+
+/// The board's tasks look for a field every 5 ms and for a voltage every 20 ms: then these are there for the same step
+/// as here.
+#[test]
+fn fields_and_voltages_arrive_when_the_boards_tasks_look() {
+    let aligned = |what: &str, arrivals: &Arrivals| {
+        let steps =
+            |some: Vec<bool>| some.into_iter().enumerate().filter(|(_, some)| *some).map(|(step, _)| step);
+        for step in steps(arrivals.mag.iter().map(Option::is_some).collect()) {
+            assert!(step.is_multiple_of(10), "{what}: a field in step {step}");
+        }
+        let voltages: Vec<usize> = steps(arrivals.battery.iter().map(Option::is_some).collect()).collect();
+        let expected: Vec<usize> = (0..arrivals.battery.len()).step_by(20).collect();
+        assert_eq!(voltages, expected, "{what}");
+    };
+    for effect in EFFECTS {
+        aligned(effect, &hover_with(effect).1);
+    }
+    for latency_s in [0.001, 0.004, 0.007, 0.0333] {
+        let mag = format!("[effects.mag.latency]\nlatency_s = {latency_s}\n");
+        aligned(&mag, &hover_with(&mag).1);
+    }
+    for built_in in sim_host::scene::BUILT_IN.iter().filter(|scene| scene.name != "bench-static") {
+        let mut arrivals = Arrivals::default();
+        Flight::new(&Scene::load(built_in.name).unwrap(), 3).run(&mut arrivals);
+        aligned(built_in.name, &arrivals);
+    }
+}
 
 #[test]
 fn no_effect_moves_the_draws_of_another() {

@@ -106,7 +106,7 @@ struct Permits {
 
 impl Observer for Permits {
     fn step(&mut self, view: &StepView) {
-        let permitted = view.output.permit.is_some();
+        let permitted = view.output.driven;
         if permitted && self.first_us.is_none() {
             self.first_us = Some(view.time_us);
         }

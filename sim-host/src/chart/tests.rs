@@ -19,6 +19,7 @@ fn chart(points: Vec<(f64, f64)>) -> Chart {
         heading: Some(("Title".into(), "Note".into())),
         description: "what is \"seen\"".into(),
         time_s: (0.0, 10.0),
+        x_title: TIME,
         panels: vec![panel(points)],
         marks: Vec::new(),
     }

@@ -39,7 +39,7 @@ fn one(scene: &Scene, arguments: &FlyArguments) -> Result<Answer, InputError> {
     }
     Ok(Answer {
         json: to_json(scene, scene.seed, &outcome, wall_s),
-        text: describe(scene, &outcome, wall_s),
+        text: describe(scene, &outcome, &verdict(&outcome), wall_s),
         failed: outcome.crash.is_some(),
     })
 }
@@ -113,7 +113,8 @@ fn summarise(scene: &Scene, flown: &[(u64, Outcome, f64)], wall_s: f64) -> Answe
     Answer { json, text, failed: crashes > 0 }
 }
 
-fn to_json(scene: &Scene, seed: u64, outcome: &Outcome, wall_s: f64) -> Value {
+/// An outcome for programs.
+pub fn to_json(scene: &Scene, seed: u64, outcome: &Outcome, wall_s: f64) -> Value {
     let flown_s = outcome.flown_s();
     json!({
         "scene": scene.name,
@@ -136,11 +137,16 @@ fn to_json(scene: &Scene, seed: u64, outcome: &Outcome, wall_s: f64) -> Value {
     })
 }
 
-fn describe(scene: &Scene, outcome: &Outcome, wall_s: f64) -> String {
-    let verdict = match outcome.crash {
+/// How a flight ended.
+pub fn verdict(outcome: &Outcome) -> String {
+    match outcome.crash {
         None => "flown to the end".into(),
         Some((crash, at_s)) => format!("CRASHED at {at_s:.3} s: {}", crash.text()),
-    };
+    }
+}
+
+/// An outcome for people.
+pub fn describe(scene: &Scene, outcome: &Outcome, verdict: &str, wall_s: f64) -> String {
     format!(
         "{name} (seed {seed}): {verdict}, {state:?}\n\
          {description}\n\n  \

@@ -1,24 +1,27 @@
 //! The command line: arguments in, a result for people or for programs out.
 
+mod allan;
 mod fly;
+mod hil;
+mod interrupt;
 mod listing;
+mod paper;
 mod progress;
 mod recordings;
 
+use std::num::NonZeroU32;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand, ValueEnum};
 use serde_json::Value;
 use sim_host::input_error::InputError;
-use sim_host::{log, output_file};
+use sim_host::log;
 
 /// Exit code of a flight or a check that failed.
 const FAILED: u8 = 1;
 /// Exit code of bad input or usage; clap's own for usage.
 const BAD_INPUT: u8 = 2;
-/// Exit code after Ctrl-C, as shells have it: 128 + SIGINT.
-const INTERRUPTED: i32 = 130;
 
 #[derive(Parser)]
 #[command(name = "sim-host", version, about = "The world that Kestrel's flight code flies in", long_about = None)]
@@ -35,12 +38,18 @@ struct Arguments {
 enum Command {
     /// Fly a scene in closed loop, judged on the truth
     Fly(FlyArguments),
+    /// Fly a scene by the firmware, on an emulated board or a real one
+    Hil(HilArguments),
     /// Sample the sensors of a scene, with truth columns
     Sense(SenseArguments),
     /// Run the flight code's estimators over a recorded log
     Estimate(EstimateArguments),
+    /// Read a sensor's errors off a recording of it at rest: Allan deviations and a fit
+    Allan(allan::AllanArguments),
     /// Show what a scene simulates, in order, what it leaves out, and what each effect costs
     Plan(PlanArguments),
+    /// Make the paper's tables and figures again, on one page with the numbers beside it
+    Paper(paper::PaperArguments),
     /// List the built-in scenes and their effects
     Scenes,
 }
@@ -65,6 +74,56 @@ struct FlyArguments {
     /// Write a report with plots, readable in any browser without a network
     #[arg(long, value_name = "F.html", conflicts_with = "runs")]
     report: Option<PathBuf>,
+}
+
+#[derive(clap::Args)]
+struct HilArguments {
+    /// A built-in scene or a scene file
+    scene: String,
+    #[command(flatten)]
+    board: BoardArguments,
+    /// The image for QEMU; without it, it is built from the sources
+    #[arg(long, value_name = "FILE", conflicts_with = "serial")]
+    image: Option<PathBuf>,
+    /// Seed of every random stream, instead of the scene's
+    #[arg(long, value_name = "N")]
+    seed: Option<u64>,
+    /// Length of the flight in seconds, instead of the scene's
+    #[arg(long, value_name = "S")]
+    duration: Option<f64>,
+    /// Write the sensor log, truth and pulses of the flight
+    #[arg(long, value_name = "F.csv")]
+    log: Option<PathBuf>,
+    /// Write a report with plots, readable in any browser without a network
+    #[arg(long, value_name = "F.html")]
+    report: Option<PathBuf>,
+    /// Test the link: flip one bit in every N-th frame to the board
+    #[arg(long, value_name = "N")]
+    flip_bit_every: Option<NonZeroU32>,
+    /// Test the link: from this time on, seconds, frames to the board are held back, and never come
+    #[arg(long, value_name = "T", requires = "delay_ms", value_parser = not_negative)]
+    delay_at_s: Option<f64>,
+    /// For so many milliseconds of the scene
+    #[arg(long, value_name = "D", requires = "delay_at_s")]
+    delay_ms: Option<u32>,
+}
+
+#[derive(clap::Args)]
+#[group(required = true, multiple = false)]
+struct BoardArguments {
+    /// The board is QEMU's netduinoplus2
+    #[arg(long)]
+    qemu: bool,
+    /// The board is at a serial port
+    #[arg(long, value_name = "PORT")]
+    serial: Option<PathBuf>,
+}
+
+fn not_negative(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(number) if (0.0..=1.0e6).contains(&number) => Ok(number),
+        _ => Err("must be a number from 0 to 1000000".into()),
+    }
 }
 
 #[derive(clap::Args)]
@@ -152,16 +211,15 @@ struct Answer {
 /// Runs the program.
 pub fn run() -> ExitCode {
     let arguments = Arguments::parse();
-    // Without a handler Ctrl-C still ends the program; it would only leave a temporary file behind.
-    let _ = ctrlc::set_handler(|| {
-        output_file::remove_unfinished();
-        std::process::exit(INTERRUPTED);
-    });
+    interrupt::listen();
     let answer = match &arguments.command {
         Command::Fly(a) => fly::run(a),
+        Command::Hil(a) => hil::run(a),
         Command::Sense(a) => recordings::sense(a),
         Command::Estimate(a) => recordings::estimate(a),
+        Command::Allan(a) => allan::run(a),
         Command::Plan(a) => listing::plan(a),
+        Command::Paper(a) => paper::run(a),
         Command::Scenes => listing::scenes(),
     };
     match answer {

@@ -69,7 +69,7 @@ impl Observer for FlightLog {
             accel_m_s2: si(imu.accel, accel),
             mag_ut: view.input.mag.map(|sample| si(sample.counts, mag)),
             reference: Some(view.truth.attitude.to_array()),
-            moving: view.output.permit.is_some(),
+            moving: view.output.driven,
         };
         let [w, x, y, z] = view.estimate.to_array();
         let Vec3 { x: north, y: east, z: down } = view.truth.position;

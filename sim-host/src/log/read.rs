@@ -155,14 +155,22 @@ impl<R: Read> Iterator for LogReader<R> {
 
 /// The records of the file that aren't blank.
 #[derive(Debug)]
-struct Records<R> {
+pub(crate) struct Records<R> {
     csv: csv::Reader<io::Chain<R, &'static [u8]>>,
-    current: ByteRecord,
+    pub(crate) current: ByteRecord,
 }
 
 impl<R: Read> Records<R> {
     fn new(source: R) -> Self {
+        Self::separated_by(b',', None, source)
+    }
+
+    /// Cells parted by this byte; lines that begin with `comment` are skipped.
+    pub(crate) fn separated_by(separator: u8, comment: Option<u8>, source: R) -> Self {
         let csv = csv::ReaderBuilder::new()
+            .delimiter(separator)
+            .comment(comment)
+            .buffer_capacity(1 << 16)
             // A row of the wrong length and a missing header are reported here, with the project's words.
             .flexible(true)
             .has_headers(false)
@@ -175,7 +183,7 @@ impl<R: Read> Records<R> {
     }
 
     /// Goes to the next record that isn't blank; false at the end of the file.
-    fn advance(&mut self) -> Result<bool, csv::Error> {
+    pub(crate) fn advance(&mut self) -> Result<bool, csv::Error> {
         loop {
             if !self.csv.read_byte_record(&mut self.current)? {
                 return Ok(false);
@@ -188,7 +196,7 @@ impl<R: Read> Records<R> {
 
     /// The line that the current record begins in, counted from 1. (The position that the record carries
     /// is where the blank lines before it begin.)
-    fn line(&self) -> u64 {
+    pub(crate) fn line(&self) -> u64 {
         let inside = self.current.as_slice().iter().filter(|&&byte| byte == b'\n').count() as u64;
         self.csv.position().line().saturating_sub(1 + inside)
     }

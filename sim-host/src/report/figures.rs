@@ -3,7 +3,7 @@
 use flight_core::arming::{Cause, Event};
 
 use super::recorder::{Channel, Recorder};
-use crate::chart::{Chart, Line, Mark, Panel, RightAxis, Stroke, colour};
+use crate::chart::{Chart, Line, Mark, Panel, RightAxis, Stroke, TIME, colour};
 use crate::flight::Outcome;
 use crate::scene::Scene;
 
@@ -81,6 +81,7 @@ fn chart(description: &str, panels: Vec<Panel>) -> Chart {
         heading: None,
         description: description.into(),
         time_s: (0.0, 0.0),
+        x_title: TIME,
         panels,
         marks: Vec::new(),
     }

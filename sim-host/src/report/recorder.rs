@@ -120,13 +120,14 @@ impl Observer for Recorder {
         }
         let estimated_deg = nearest_turn(roll_pitch_yaw_deg(view.estimate), true_deg);
         let error = AttitudeError::between(view.estimate, truth.attitude);
-        let filtered = view.controller.rates_rad_s();
         let place = truth.position - view.target_m.unwrap_or(home);
 
         let mut row = [f64::NAN; CHANNELS];
         let mut set = |channel: Channel, value: f64| row[channel.index()] = value;
         let rates_true = <[f64; 3]>::from(truth.rates);
-        let rates_filtered = <[f32; 3]>::from(filtered).map(f64::from);
+        // A gap where the autopilot does not tell.
+        let rates_filtered =
+            view.output.rates_rad_s.map_or([f64::NAN; 3], |rates| <[f32; 3]>::from(rates).map(f64::from));
         for axis in 0..3 {
             set(Channel::AttitudeTruth(axis), true_deg[axis]);
             set(Channel::AttitudeEstimate(axis), estimated_deg[axis]);

@@ -191,7 +191,7 @@ impl Observer for Turning {
         let after_s = view.time_us as f64 * 1e-6 - FIRST_SIDE_S;
         if after_s > 0.8 && after_s < 1.0 {
             self.rate.add(view.truth.rates.x.to_degrees());
-            self.estimate.add(roll(view.controller.attitude().down()).to_degrees());
+            self.estimate.add(roll(view.output.attitude.down()).to_degrees());
         }
     }
 }

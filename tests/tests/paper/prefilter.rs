@@ -90,7 +90,7 @@ impl Observer for Rates {
     fn step(&mut self, view: &StepView) {
         // By then the gyroscope's zero, a mean over up to 10 s, has stopped moving much.
         if view.time_us >= 20_000_000 {
-            let rates = view.controller.rates_rad_s();
+            let rates = view.output.rates_rad_s.unwrap();
             let axes = [rates.x, rates.y, rates.z].map(f64::from);
             self.0.iter_mut().zip(axes).for_each(|(spread, rate)| spread.add(rate.to_degrees()));
         }

@@ -1,0 +1,111 @@
+//! The deviations on logarithmic axes: bounds, slopes, coefficients.
+
+use super::Point;
+use super::fit::{Coefficient, Fit, Found};
+use crate::chart::log_log::{Band, Chart, Label, Line, Panel};
+use crate::chart::{Stroke, colour};
+
+/// The colour of a coefficient's slope.
+fn colour_of(coefficient: Coefficient) -> &'static str {
+    match coefficient {
+        Coefficient::Quantization => colour::PURPLE,
+        Coefficient::WhiteNoise => colour::VERMILLION,
+        Coefficient::BiasInstability => colour::GREEN,
+        Coefficient::RateRandomWalk => colour::ORANGE,
+        Coefficient::RateRamp => colour::GREY,
+    }
+}
+
+/// A column as a panel: its points with their bounds, and, if they are of the kind that was fitted, the slopes.
+pub fn panel(title: &str, unit: &str, points: &[Point], fit: Option<&Fit>) -> Panel {
+    let line = |label: &str, stroke, points, dots, sets_axes| Line {
+        label: label.into(),
+        stroke,
+        points,
+        dots,
+        sets_axes,
+    };
+    let mut lines = Vec::new();
+    let mut labels = Vec::new();
+    let ends = points.first().zip(points.last()).map(|(first, last)| (first.tau_s, last.tau_s));
+    if let (Some(fit), Some((first, last))) = (fit, ends) {
+        let values: Vec<(Coefficient, f64)> = Coefficient::ALL
+            .into_iter()
+            .zip(&fit.found)
+            .filter_map(|(coefficient, found)| found.value().map(|value| (coefficient, value)))
+            .collect();
+        let variance = |(c, value): (Coefficient, f64), tau_s: f64| value * value * c.variance(tau_s);
+        for &(coefficient, value) in &values {
+            let at = |tau_s: f64| (tau_s, libm::sqrt(variance((coefficient, value), tau_s)));
+            let colour = colour_of(coefficient);
+            lines.push(line("", Stroke::dashed(colour, 1.2), vec![at(first), at(last)], false, false));
+            // Read off where tradition does, or, if that is off the plot, where the term is most of the whole.
+            let part = |tau_s: f64| {
+                let all: f64 = values.iter().map(|&term| variance(term, tau_s)).sum();
+                variance((coefficient, value), tau_s) / all
+            };
+            let most = points.iter().map(|p| p.tau_s).max_by(|a, b| part(*a).total_cmp(&part(*b)));
+            let read_at =
+                coefficient.read_at_s().filter(|tau_s| (first..=last).contains(tau_s) && part(*tau_s) > 0.02);
+            let text = format!("{} {} {}", coefficient.letter(), short(value), coefficient.unit(unit));
+            labels.push(Label { at: at(read_at.or(most).unwrap_or(first)), text, colour });
+        }
+        if let Some((from, to)) = fit.range_s {
+            let model = |tau_s: f64| libm::sqrt(values.iter().map(|&term| variance(term, tau_s)).sum());
+            let steps = 60;
+            let curve = (0..=steps).map(|k| from * libm::pow(to / from, f64::from(k) / f64::from(steps)));
+            let curve = curve.map(|tau_s| (tau_s, model(tau_s))).collect();
+            lines.push(line("fit", Stroke::solid(colour::BLACK, 1.2), curve, false, true));
+        }
+    }
+    let measured = points.iter().map(|p| (p.tau_s, p.deviation)).collect();
+    // Dots for octaves; thousands of them would be a line anyway.
+    lines.push(line("deviation, 68 %", Stroke::solid(colour::BLUE, 1.4), measured, points.len() < 80, true));
+    let bounds = points.iter().map(|p| (p.tau_s, p.lower, p.upper)).collect();
+    Panel {
+        title: title.into(),
+        unit: unit.into(),
+        bands: vec![Band { colour: colour::BLUE, points: bounds }],
+        lines,
+        labels,
+    }
+}
+
+/// Three digits.
+pub fn short(value: f64) -> String {
+    if (1e-3..1e4).contains(&value) {
+        let digits = (2.0 - libm::floor(libm::log10(value))).max(0.0) as usize;
+        format!("{value:.digits$}")
+    } else {
+        format!("{value:.2e}")
+    }
+}
+
+/// A picture of such panels.
+pub fn chart(heading: (String, String), panels: Vec<Panel>) -> Chart {
+    let many = panels.len() > 1;
+    let description = format!("Allan deviation over averaging time: {}", heading.0);
+    Chart {
+        width: if many { 1100.0 } else { 860.0 },
+        in_a_row: if many { 2 } else { 1 },
+        plot_height: if many { 280.0 } else { 420.0 },
+        heading: Some(heading),
+        description,
+        x_title: "averaging time τ, s",
+        panels,
+    }
+}
+
+/// A value with its uncertainty, or why there is none, for people.
+pub fn said(coefficient: Coefficient, found: &Found, unit: &str) -> String {
+    let unit = coefficient.unit(unit);
+    match found {
+        Found::Value { value, uncertainty } => {
+            format!("{} ± {:.1} % {unit}", short(*value), 100.0 * uncertainty / value)
+        }
+        Found::Hidden { reason, at_most } => {
+            let bound = at_most.map_or(String::new(), |most| format!("; at most {} {unit}", short(most)));
+            format!("– ({reason}{bound})")
+        }
+    }
+}

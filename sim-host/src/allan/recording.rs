@@ -1,0 +1,509 @@
+//! Columns of a CSV file that need not be one of the project's logs.
+//!
+//! Columns are parted by commas, semicolons or tabs, with or without a header row; beside semicolons a comma is
+//! a decimal one. Which it is is found from the first lines, and where they leave a doubt there is an error
+//! that says how to settle it, not a guess.
+//!
+//! Nothing is bridged. A cell that is no number, a stamp that is out of step, a column of one value are errors
+//! with file, line and column. A column that has values in every k-th row only, like a magnetometer's beside a
+//! faster gyroscope, is a column of its own rate; a value missing from that rhythm is a gap, and an error.
+//!
+//! # Memory
+//! A column is held as doubles and turned into its running sums in place: 0.8 GB for 10⁸ rows. The file is
+//! read again as often as it takes for no more than [`MEMORY`] to be held at once.
+
+use std::fs::File;
+use std::io::Read;
+use std::path::{Path, PathBuf};
+
+use crate::input_error::InputError;
+use crate::log::Records;
+
+/// Bytes of samples held at once.
+const MEMORY: u64 = 1 << 30;
+/// Of the file, what the layout is found from.
+const GLIMPSE: u64 = 1 << 16;
+/// Largest magnitude of a value: the square of a sum of 10⁹ of them is still a number.
+const LARGEST: f64 = 1e100;
+/// Rows between two reports of progress.
+const ROWS_PER_LOOK: u64 = 1 << 16;
+/// How far a step of the stamps may be from the mean one, as a part of it, besides the rounding of the stamps.
+const JITTER: f64 = 0.1;
+/// Differences that the converter's step is looked for in.
+const STEP_SAMPLES: usize = 4096;
+
+/// A file whose layout is known.
+#[derive(Debug)]
+pub struct Recording {
+    path: PathBuf,
+    separator: u8,
+    /// Names, or numbers from 1 if there is no header.
+    names: Vec<String>,
+    has_header: bool,
+    bytes: u64,
+    bytes_per_row: f64,
+}
+
+/// What the caller says of the layout; what is `None` is found.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Layout {
+    /// What parts the columns.
+    pub separator: Option<u8>,
+    /// Whether the first row is a header.
+    pub header: Option<bool>,
+}
+
+/// A column that was read.
+#[derive(Clone, Debug)]
+pub struct Column {
+    /// Its name or number.
+    pub name: String,
+    /// Its values.
+    pub samples: Vec<f64>,
+    /// Rows to a value: 1, but where a slow sensor has a column beside a fast one.
+    pub rows_per_value: u64,
+    /// Mean of the values.
+    pub mean: f64,
+    /// The converter's step, if all differences are whole multiples of one.
+    pub step: Option<f64>,
+}
+
+/// What was read of a file.
+#[derive(Clone, Debug, Default)]
+pub struct Contents {
+    /// The columns, in the order asked for.
+    pub columns: Vec<Column>,
+    /// The stamps, if asked for.
+    pub stamps: Option<Stamps>,
+    /// Lowest and highest temperature, in the unit of its column, if asked for and there.
+    pub temperature: Option<(f64, f64)>,
+}
+
+/// The stamps of the rows.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Stamps {
+    /// Mean interval between rows, s.
+    pub interval_s: f64,
+}
+
+fn parse(cell: &[u8], decimal_comma: bool) -> Option<f64> {
+    let text = std::str::from_utf8(cell).ok()?.trim();
+    if decimal_comma && text.contains(',') {
+        if text.contains('.') {
+            return None;
+        }
+        return text.replacen(',', ".", 1).parse().ok();
+    }
+    text.parse().ok()
+}
+
+fn named(separator: u8) -> &'static str {
+    match separator {
+        b',' => "comma",
+        b';' => "semicolon",
+        _ => "tab",
+    }
+}
+
+impl Recording {
+    /// Opens the file at `path` and finds its layout.
+    ///
+    /// # Errors
+    /// A file that cannot be read, has no rows, or whose layout is in doubt.
+    pub fn open(path: impl AsRef<Path>, layout: Layout) -> Result<Self, InputError> {
+        let path = path.as_ref().to_path_buf();
+        let cannot_read =
+            |error: std::io::Error| InputError::new(format!("cannot be read: {error}")).file(&path);
+        let found = std::fs::metadata(&path).map_err(cannot_read)?;
+        if !found.is_file() {
+            return Err(
+                InputError::new("must be a regular file: it may have to be read more than once").file(&path)
+            );
+        }
+        let mut glimpse = Vec::new();
+        let file = File::open(&path).map_err(cannot_read)?;
+        file.take(GLIMPSE).read_to_end(&mut glimpse).map_err(cannot_read)?;
+        if (glimpse.len() as u64) < found.len() {
+            // The last line is cut off: it would be a row of its own kind.
+            let whole = glimpse.iter().rposition(|&b| b == b'\n').map_or(glimpse.len(), |at| at + 1);
+            glimpse.truncate(whole);
+        }
+        let separator = match layout.separator {
+            Some(separator) => separator,
+            None => separator(&glimpse).map_err(|error| error.file(&path))?,
+        };
+        let rows = rows(&glimpse, separator).map_err(|error| error.file(&path))?;
+        let Some((first, others)) = rows.split_first() else {
+            return Err(InputError::new("the file is empty: it must have rows of numbers").file(&path));
+        };
+        let has_header = match layout.header {
+            Some(header) => header,
+            None => has_header(first, others, separator).map_err(|error| error.file(&path))?,
+        };
+        let names = if has_header {
+            first.clone()
+        } else {
+            (1..=first.len()).map(|number| number.to_string()).collect()
+        };
+        let bytes_per_row = glimpse.len() as f64 / rows.len() as f64;
+        Ok(Self { path, separator, names, has_header, bytes: found.len(), bytes_per_row })
+    }
+
+    /// The names of the columns; numbers from 1 if there is no header.
+    pub fn names(&self) -> &[String] {
+        &self.names
+    }
+
+    /// Whether the file has a header.
+    pub fn has_header(&self) -> bool {
+        self.has_header
+    }
+
+    /// Bytes in the file.
+    pub fn bytes(&self) -> u64 {
+        self.bytes
+    }
+
+    /// An error about this file.
+    pub fn error(&self, what: impl Into<String>) -> InputError {
+        InputError::new(what).file(&self.path)
+    }
+
+    /// The place of a column, by name or by number from 1.
+    ///
+    /// # Errors
+    /// A column that there is not, or that two can be meant by.
+    pub fn find(&self, column: &str) -> Result<usize, InputError> {
+        let error = |what: String| Err(self.error(what).field("--column").value(column));
+        let named: Vec<usize> = (0..self.names.len()).filter(|&i| self.names[i] == column).collect();
+        let numbered =
+            column.parse::<usize>().ok().filter(|n| (1..=self.names.len()).contains(n)).map(|n| n - 1);
+        match (named.as_slice(), numbered) {
+            ([_, _, ..], _) => error(format!("{} columns have this name: say its number", named.len())),
+            (&[named], Some(number)) if named != number => error(format!(
+                "column {} has this name, and column {column} this number: rename one",
+                named + 1
+            )),
+            (&[found], _) | (&[], Some(found)) => Ok(found),
+            (&[], None) if self.has_header => error(format!(
+                "must be the name of a column or its number from 1 to {}; there are {}",
+                self.names.len(),
+                self.names.join(", ")
+            )),
+            (&[], None) => error(format!(
+                "the file has no header row: must be the number of a column, from 1 to {}",
+                self.names.len()
+            )),
+        }
+    }
+
+    /// How many columns can be held at once.
+    pub fn columns_at_once(&self) -> usize {
+        let rows = (self.bytes as f64 / self.bytes_per_row).max(1.0) as u64;
+        (MEMORY / (8 * rows)).max(1) as usize
+    }
+
+    /// Reads the columns at these places, each with the name that it goes by, the stamps in the column at
+    /// `time`, and the range of the column at `temperature`. `progress` hears of the bytes.
+    ///
+    /// # Errors
+    /// Anything that is no series of evenly sampled, finite numbers.
+    pub fn read(
+        &self,
+        columns: &[(usize, String)],
+        time: Option<usize>,
+        temperature: Option<usize>,
+        progress: &dyn Fn(u64),
+    ) -> Result<Contents, InputError> {
+        let cannot_read = |error: &dyn std::fmt::Display| self.error(format!("cannot be read: {error}"));
+        let file = File::open(&self.path).map_err(|error| cannot_read(&error))?;
+        let mut records = Records::separated_by(self.separator, Some(b'#'), file);
+        let estimate = (self.bytes as f64 / self.bytes_per_row * 1.02) as usize + 16;
+        let mut builders: Vec<Builder> =
+            columns.iter().map(|(at, name)| Builder::new(*at, name, estimate)).collect();
+        let mut stamps = time.map(Stamping::new);
+        let mut range: Option<(f64, f64)> = None;
+        let mut rows = 0_u64;
+        if self.has_header {
+            records.advance().map_err(|error| cannot_read(&error))?;
+        }
+        while records.advance().map_err(|error| cannot_read(&error))? {
+            let at_line = |error: InputError| error.line(records.line()).file(&self.path);
+            let cells = &records.current;
+            if cells.len() != self.names.len() {
+                let allowed = if self.has_header { "as in the header" } else { "as in the first row" };
+                let error = InputError::new(format!("must be {}, {allowed}", self.names.len()));
+                return Err(at_line(error.field("number of cells").value(cells.len())));
+            }
+            for builder in &mut builders {
+                builder.take(&cells[builder.at], rows, self.separator == b';').map_err(at_line)?;
+            }
+            if let Some(stamps) = &mut stamps {
+                let name = &self.names[stamps.at];
+                stamps
+                    .take(&cells[stamps.at], rows, records.line(), self.separator == b';')
+                    .map_err(|error| at_line(error.field(name)))?;
+            }
+            // The temperature is a remark: a cell that is none says nothing.
+            if let Some(value) = temperature.and_then(|at| parse(&cells[at], self.separator == b';')) {
+                let (low, high) = range.unwrap_or((value, value));
+                range = Some((low.min(value), high.max(value)));
+            }
+            rows += 1;
+            if rows.is_multiple_of(ROWS_PER_LOOK) {
+                progress((rows as f64 * self.bytes_per_row) as u64);
+            }
+        }
+        let columns: Result<Vec<Column>, InputError> =
+            builders.into_iter().map(|b| b.finish(rows).map_err(|e| e.file(&self.path))).collect();
+        let stamps = stamps.map(|stamps| {
+            let name = &self.names[stamps.at];
+            stamps.finish(rows).map_err(|error| error.field(name).file(&self.path))
+        });
+        Ok(Contents { columns: columns?, stamps: stamps.transpose()?, temperature: range })
+    }
+}
+
+/// A column on its way.
+struct Builder {
+    at: usize,
+    name: String,
+    samples: Vec<f64>,
+    /// Row of the last value, and rows between values once two have been seen.
+    last: Option<u64>,
+    rows_per_value: Option<u64>,
+    first_row: u64,
+    low: f64,
+    high: f64,
+}
+
+impl Builder {
+    fn new(at: usize, name: &str, rows: usize) -> Self {
+        Self {
+            at,
+            name: name.into(),
+            samples: Vec::with_capacity(rows),
+            last: None,
+            rows_per_value: None,
+            first_row: 0,
+            low: f64::INFINITY,
+            high: f64::NEG_INFINITY,
+        }
+    }
+
+    #[inline]
+    fn take(&mut self, cell: &[u8], row: u64, decimal_comma: bool) -> Result<(), InputError> {
+        if cell.is_empty() {
+            let due = self.last.zip(self.rows_per_value).is_some_and(|(last, every)| row >= last + every);
+            return if due { Err(self.gap(cell)) } else { Ok(()) };
+        }
+        let value = match parse(cell, decimal_comma) {
+            Some(value) if value.abs() <= LARGEST => value,
+            Some(value) if value.is_nan() => return Err(self.gap(cell)),
+            _ => {
+                let allowed = format!("must be a number from -{LARGEST:e} to {LARGEST:e}");
+                return Err(InputError::new(allowed).field(&self.name).value(String::from_utf8_lossy(cell)));
+            }
+        };
+        match (self.last, self.rows_per_value) {
+            (None, _) => self.first_row = row,
+            (Some(last), None) => self.rows_per_value = Some(row - last),
+            (Some(last), Some(every)) if row - last != every => return Err(self.gap(cell)),
+            _ => {}
+        }
+        self.last = Some(row);
+        self.low = self.low.min(value);
+        self.high = self.high.max(value);
+        self.samples.push(value);
+        Ok(())
+    }
+
+    fn gap(&self, cell: &[u8]) -> InputError {
+        let every = self.rows_per_value.unwrap_or(1);
+        let rhythm = if every == 1 { "every row".into() } else { format!("every {every}th row") };
+        InputError::new(format!(
+            "a gap: the column must have a number in {rhythm}; cut the record there and analyse the longer part"
+        ))
+        .field(&self.name)
+        .value(String::from_utf8_lossy(cell))
+    }
+
+    fn finish(self, rows: u64) -> Result<Column, InputError> {
+        let every = self.rows_per_value.unwrap_or(1);
+        let count = self.samples.len();
+        if count < 3 {
+            return Err(InputError::new("must have at least 3 values").field(&self.name).value(count));
+        }
+        if self.first_row >= every || self.last.is_some_and(|last| last + every < rows) {
+            return Err(InputError::new(format!(
+                "a gap: the column has values in rows {} to {} of {rows} only",
+                self.first_row + 1,
+                self.last.unwrap_or(0) + 1
+            ))
+            .field(&self.name));
+        }
+        if self.low == self.high {
+            return Err(InputError::new(
+                "the column is constant: there is no noise to analyse (a stuck sensor?)",
+            )
+            .field(&self.name)
+            .value(self.low));
+        }
+        let origin = self.samples[0];
+        let mean = origin + self.samples.iter().map(|y| y - origin).sum::<f64>() / count as f64;
+        let step = step(&self.samples);
+        Ok(Column { name: self.name, samples: self.samples, rows_per_value: every, mean, step })
+    }
+}
+
+/// The step that all differences of neighbours are whole multiples of, if there is one: the smallest of them,
+/// as long as the rounding of printed numbers leaves it recognisable.
+fn step(samples: &[f64]) -> Option<f64> {
+    let some = &samples[..samples.len().min(STEP_SAMPLES)];
+    let differences = || some.windows(2).map(|w| (w[1] - w[0]).abs());
+    let largest = some.iter().fold(0.0, |most: f64, y| most.max(y.abs()));
+    let nothing = largest * 1e-12;
+    let least = differences().filter(|&d| d > nothing).fold(f64::INFINITY, f64::min);
+    // The mean of the differences nearest to one step is better than any of them, which are rounded.
+    let ones = || differences().filter(|&d| d > nothing && d < 1.5 * least);
+    let step = ones().sum::<f64>() / ones().count() as f64;
+    let is_multiple = |d: f64| {
+        let steps = d / step;
+        (steps - libm::round(steps)).abs() < 0.05 && steps < 1e6
+    };
+    // One in 64 differences being a single step or none at all is a converter, and not chance.
+    let few = differences().filter(|&d| d < 1.5 * step).count() * 64 > some.len();
+    (step.is_finite() && few && differences().all(is_multiple)).then_some(step)
+}
+
+/// Stamps on their way.
+struct Stamping {
+    at: usize,
+    first: f64,
+    last: f64,
+    /// Shortest and longest step, and the lines that they end in.
+    shortest: (f64, u64),
+    longest: (f64, u64),
+    /// Digits after the point, at most.
+    digits: u32,
+}
+
+impl Stamping {
+    fn new(at: usize) -> Self {
+        Self { at, first: 0.0, last: 0.0, shortest: (f64::INFINITY, 0), longest: (0.0, 0), digits: 0 }
+    }
+
+    fn take(&mut self, cell: &[u8], row: u64, line: u64, decimal_comma: bool) -> Result<(), InputError> {
+        let time_s = parse(cell, decimal_comma).filter(|t| t.abs() <= 1e12).ok_or_else(|| {
+            InputError::new("must be a number from -1e12 to 1e12 s").value(String::from_utf8_lossy(cell))
+        })?;
+        let point = cell.iter().position(|&b| b == b'.' || (decimal_comma && b == b','));
+        let digits = point.map_or(0, |at| cell[at + 1..].iter().take_while(|b| b.is_ascii_digit()).count());
+        self.digits = self.digits.max(if cell.contains(&b'e') { 15 } else { digits as u32 });
+        if row == 0 {
+            self.first = time_s;
+        } else {
+            let step = time_s - self.last;
+            if step <= 0.0 {
+                let before = self.last;
+                return Err(InputError::new(format!("must rise: the row before has {before}")).value(time_s));
+            }
+            if step < self.shortest.0 {
+                self.shortest = (step, line);
+            }
+            if step > self.longest.0 {
+                self.longest = (step, line);
+            }
+        }
+        self.last = time_s;
+        Ok(())
+    }
+
+    fn finish(self, rows: u64) -> Result<Stamps, InputError> {
+        let interval_s = (self.last - self.first) / (rows.max(2) - 1) as f64;
+        let rounding = libm::pow(10.0, -f64::from(self.digits));
+        let tolerance = (JITTER * interval_s).max(1.01 * rounding);
+        for (step, line) in [self.longest, self.shortest] {
+            if (step - interval_s).abs() > tolerance {
+                return Err(InputError::new(format!(
+                    "uneven stamps: the steps must be within {tolerance:.3e} s of their mean, {interval_s:.6e} s; \
+                     --rate-hz takes the rows as even"
+                ))
+                .line(line)
+                .value(format_args!("{step:.6e} s after the row before")));
+            }
+        }
+        Ok(Stamps { interval_s })
+    }
+}
+
+/// The rows of a text; their cells as text.
+fn rows(text: &[u8], separator: u8) -> Result<Vec<Vec<String>>, InputError> {
+    let mut records = Records::separated_by(separator, Some(b'#'), text);
+    let mut rows = Vec::new();
+    while records.advance().map_err(|error| InputError::new(format!("cannot be read: {error}")))? {
+        let cell = |cell: &[u8]| String::from_utf8_lossy(cell).trim_start_matches('\u{feff}').to_owned();
+        rows.push(records.current.iter().map(cell).collect());
+    }
+    Ok(rows)
+}
+
+/// What parts the columns: the one that gives all lines the same number of cells, more than one, with no
+/// other separator left in them.
+fn separator(text: &[u8]) -> Result<u8, InputError> {
+    let mut fitting = Vec::new();
+    for separator in [b',', b';', b'\t'] {
+        let rows = rows(text, separator)?;
+        let width = rows.first().map_or(0, Vec::len);
+        let decimal = |cell: &str| separator == b';' && parse(cell.as_bytes(), true).is_some();
+        let left = |cell: &String| cell.contains([',', ';', '\t']) && !decimal(cell);
+        if width > 1 && rows.iter().all(|row| row.len() == width && !row.iter().any(left)) {
+            fitting.push(separator);
+        }
+    }
+    match fitting.as_slice() {
+        [one] => Ok(*one),
+        [] => {
+            // One column, or a file whose lines differ: reading it says where.
+            let used = [b',', b';', b'\t'].into_iter().filter(|s| text.contains(s)).collect::<Vec<_>>();
+            match used.as_slice() {
+                [] => Ok(b','),
+                [one] => Ok(*one),
+                _ => Err(InputError::new(
+                    "cannot tell what parts the columns: say --separator comma, semicolon or tab",
+                )),
+            }
+        }
+        several => {
+            let names: Vec<&str> = several.iter().map(|&s| named(s)).collect();
+            Err(InputError::new(format!(
+                "the columns could be parted by {}: say --separator",
+                names.join(" or ")
+            )))
+        }
+    }
+}
+
+/// Whether the first row is a header: text above numbers.
+fn has_header(first: &[String], others: &[Vec<String>], separator: u8) -> Result<bool, InputError> {
+    let is_number = |cell: &String| parse(cell.as_bytes(), separator == b';').is_some();
+    let mut text_above_numbers = false;
+    let mut number_above_numbers = false;
+    for (column, cell) in first.iter().enumerate() {
+        let numbers = others.iter().filter_map(|row| row.get(column)).any(is_number);
+        match (is_number(cell), numbers) {
+            (false, true) => text_above_numbers = true,
+            (true, true) => number_above_numbers = true,
+            _ => {}
+        }
+    }
+    match (text_above_numbers, number_above_numbers) {
+        (true, true) if first.iter().all(|cell| !cell.is_empty()) => {
+            Err(InputError::new("the first row is partly text and partly numbers: say --header yes or no")
+                .line(1))
+        }
+        (true, false) => Ok(true),
+        (false, false) => Ok(!first.iter().any(is_number)),
+        _ => Ok(false),
+    }
+}

@@ -1,0 +1,416 @@
+//! The command `allan`: from a recording to a sensor's figures.
+
+use std::fmt::Write as _;
+use std::io::Write as _;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use clap::ValueEnum;
+use serde_json::{Map, Value, json};
+use sim_host::allan::model::{self, Analysed, Provenance, Role};
+use sim_host::allan::recording::{Column, Layout, Recording};
+use sim_host::allan::statistic::estimate_s;
+use sim_host::allan::{self, Coefficient, Found, Phase, Point, Statistic, Taus, plot};
+use sim_host::input_error::InputError;
+use sim_host::output_file::OutputFile;
+
+use super::{Answer, progress};
+
+/// Longest work that is begun without being told to, s.
+const LONGEST_S: f64 = 600.0;
+
+#[derive(clap::Args)]
+pub struct AllanArguments {
+    /// The recording, of a sensor lying still: columns of numbers, parted by commas, semicolons or tabs
+    log: PathBuf,
+    /// Which columns, by name or number from 1; ROLE=COLUMN gives one a name that says what it is, such as
+    /// gyro_x_deg_s=wx. Without this the columns of the project's logs, or the only one there is
+    #[arg(long, value_name = "C", num_args = 1)]
+    column: Vec<String>,
+    /// Rows a second, instead of what the stamps in time_s say
+    #[arg(long, value_name = "R")]
+    rate_hz: Option<f64>,
+    /// Averaging times
+    #[arg(long, value_enum, default_value_t = TausName::Octave)]
+    taus: TausName,
+    /// Which deviation is listed and plotted; the coefficients are always fitted to the overlapping one
+    #[arg(long, value_enum, default_value_t = StatisticName::Overlapping)]
+    statistic: StatisticName,
+    /// The columns are angles, velocities or phases: integrals of what is analysed
+    #[arg(long)]
+    phase: bool,
+    /// Draw the deviations with their bounds, slopes and coefficients
+    #[arg(long, value_name = "F.svg")]
+    plot: Option<PathBuf>,
+    /// Write a sensor preset, for `imu = "F.toml"` in a scene
+    #[arg(long, value_name = "F.toml")]
+    imu: Option<PathBuf>,
+    /// Write the imu.yaml of Kalibr, VINS and OpenVINS
+    #[arg(long, value_name = "F.yaml")]
+    kalibr: Option<PathBuf>,
+    /// Begin even if it will take more than 10 minutes
+    #[arg(long)]
+    force: bool,
+    /// What parts the columns, where the file leaves a doubt
+    #[arg(long, value_enum)]
+    separator: Option<SeparatorName>,
+    /// Whether the first row is a header, where the file leaves a doubt
+    #[arg(long, value_enum)]
+    header: Option<YesNo>,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum TausName {
+    Octave,
+    Decade,
+    Log,
+    All,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum StatisticName {
+    Overlapping,
+    Standard,
+    Modified,
+    Hadamard,
+    Total,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum SeparatorName {
+    Comma,
+    Semicolon,
+    Tab,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum YesNo {
+    Yes,
+    No,
+}
+
+impl AllanArguments {
+    fn layout(&self) -> Layout {
+        let separator = self.separator.map(|separator| match separator {
+            SeparatorName::Comma => b',',
+            SeparatorName::Semicolon => b';',
+            SeparatorName::Tab => b'\t',
+        });
+        Layout { separator, header: self.header.map(|header| matches!(header, YesNo::Yes)) }
+    }
+
+    fn taus(&self) -> Taus {
+        match self.taus {
+            TausName::Octave => Taus::Octave,
+            TausName::Decade => Taus::Decade,
+            TausName::Log => Taus::Log,
+            TausName::All => Taus::All,
+        }
+    }
+
+    fn statistic(&self) -> Statistic {
+        match self.statistic {
+            StatisticName::Overlapping => Statistic::Overlapping,
+            StatisticName::Standard => Statistic::Standard,
+            StatisticName::Modified => Statistic::Modified,
+            StatisticName::Hadamard => Statistic::Hadamard,
+            StatisticName::Total => Statistic::Total,
+        }
+    }
+}
+
+/// A column with its deviations.
+struct Analysis {
+    analysed: Analysed,
+    points: Vec<Point>,
+    unit: String,
+}
+
+pub fn run(arguments: &AllanArguments) -> Result<Answer, InputError> {
+    let start = Instant::now();
+    if let Some(rate_hz) = arguments.rate_hz
+        && !(rate_hz > 1e-9 && rate_hz < 1e9)
+    {
+        return Err(InputError::new("must be above 1e-9 and below 1e9 Hz").field("--rate-hz").value(rate_hz));
+    }
+    let recording = Recording::open(&arguments.log, arguments.layout())?;
+    let wanted = wanted(&recording, arguments)?;
+    let time = match arguments.rate_hz {
+        Some(_) => None,
+        None => Some(recording.names().iter().position(|name| name == "time_s").ok_or_else(|| {
+            recording
+                .error("the rate is missing: the file has no column time_s; say --rate-hz")
+                .field("--rate-hz")
+        })?),
+    };
+    let temperature =
+        recording.names().iter().position(|name| recording.has_header() && is_temperature(name));
+
+    let mut results = Vec::new();
+    let mut rate_hz = arguments.rate_hz;
+    let mut range = None;
+    let at_once = recording.columns_at_once();
+    for (pass, columns) in wanted.chunks(at_once).enumerate() {
+        let bar = progress::bar(recording.bytes(), &format!("read {}", arguments.log.display()));
+        // Stamps and temperature are the same for all columns.
+        let first = pass == 0;
+        let contents =
+            recording.read(columns, time.filter(|_| first), temperature.filter(|_| first), &|bytes| {
+                bar.set_position(bytes)
+            })?;
+        bar.finish_and_clear();
+        if let Some(stamps) = contents.stamps {
+            rate_hz = Some(1.0 / stamps.interval_s);
+        }
+        range = range.or(contents.temperature);
+        let Some(rate_hz) = rate_hz else {
+            return Err(recording.error("the rate is missing").field("--rate-hz"));
+        };
+        for column in contents.columns {
+            results.push(analyse(column, rate_hz, arguments).map_err(|error| error.file(&arguments.log))?);
+        }
+    }
+    let rate_hz = rate_hz.unwrap_or_default();
+    let provenance = Provenance {
+        file: arguments.log.display().to_string(),
+        temperature: range
+            .zip(temperature)
+            .map(|((low, high), at)| (recording.names()[at].clone(), low, high)),
+    };
+    write_files(arguments, &results, &provenance)?;
+    let wall_s = start.elapsed().as_secs_f64();
+    Ok(Answer {
+        json: to_json(&results, rate_hz, wall_s, &provenance),
+        text: describe(&results, arguments, rate_hz, wall_s),
+        failed: false,
+    })
+}
+
+fn is_temperature(name: &str) -> bool {
+    let name = name.to_lowercase();
+    name.starts_with("temp")
+}
+
+/// The columns to analyse, with the names that they go by.
+fn wanted(recording: &Recording, arguments: &AllanArguments) -> Result<Vec<(usize, String)>, InputError> {
+    let names = recording.names();
+    if arguments.column.is_empty() {
+        let ours: Vec<(usize, String)> =
+            names.iter().cloned().enumerate().filter(|(_, name)| Role::of(name).is_some()).collect();
+        if !ours.is_empty() {
+            return Ok(ours);
+        }
+        let data = |name: &&String| *name != "time_s" && !is_temperature(name);
+        return match names.iter().filter(data).collect::<Vec<_>>().as_slice() {
+            [only] => Ok(vec![(recording.find(only)?, (*only).clone())]),
+            _ => Err(recording
+                .error(format!("which of the columns? Say --column; there are {}", names.join(", ")))
+                .field("--column")),
+        };
+    }
+    let mut wanted: Vec<(usize, String)> = Vec::new();
+    for column in &arguments.column {
+        let (place, name) = match column.split_once('=') {
+            Some((role, from)) if !names.contains(column) => {
+                if Role::of(role).is_none() {
+                    return Err(InputError::new(
+                        "the part before = must be gyro_{x,y,z}_{rad_s,deg_s}, accel_{x,y,z}_{m_s2,g} or \
+                         mag_{x,y,z}_ut",
+                    )
+                    .field("--column")
+                    .value(column));
+                }
+                (recording.find(from)?, role.to_owned())
+            }
+            _ => {
+                let place = recording.find(column)?;
+                (place, names[place].clone())
+            }
+        };
+        if wanted.iter().any(|(_, other)| *other == name) {
+            return Err(InputError::new("must be named once").field("--column").value(column));
+        }
+        wanted.push((place, name));
+    }
+    Ok(wanted)
+}
+
+fn analyse(column: Column, row_rate_hz: f64, arguments: &AllanArguments) -> Result<Analysis, InputError> {
+    let Column { name, samples, rows_per_value, mean, step } = column;
+    let rate_hz = row_rate_hz / rows_per_value as f64;
+    let unit = Role::of(&name).map_or("unit", |role| role.unit);
+    let unit = if arguments.phase { format!("{unit}/s") } else { unit.into() };
+    let phase = if arguments.phase {
+        Phase::of_angle(samples, 1.0 / rate_hz)
+    } else {
+        Phase::of_rate(samples, 1.0 / rate_hz)
+    };
+    let threads = std::thread::available_parallelism().map_or(1, usize::from);
+    let statistic = arguments.statistic();
+    let factors = arguments.taus().factors(statistic.largest_factor(phase.samples()));
+    let expected_s = estimate_s(statistic, phase.samples(), &factors, threads);
+    if expected_s > LONGEST_S && !arguments.force {
+        return Err(InputError::new(format!(
+            "{} averaging times of {} samples would take about {:.0} minutes; --force does it, --taus log or octave \
+             is quick",
+            factors.len(),
+            phase.samples(),
+            expected_s / 60.0
+        ))
+        .field("--taus"));
+    }
+    let deviations = |statistic: Statistic, factors: &[usize]| {
+        let bar = progress::bar(0, &name);
+        let points = allan::deviations(&phase, statistic, factors, threads, &|done, of| {
+            bar.set_length(of as u64);
+            bar.set_position(done as u64);
+        });
+        bar.finish_and_clear();
+        points
+    };
+    let points = deviations(statistic, &factors);
+    let octaves = Taus::Octave.factors(Statistic::Overlapping.largest_factor(phase.samples()));
+    let fit = if statistic == Statistic::Overlapping && factors == octaves {
+        allan::fitted(&points, phase.length_s(), step)
+    } else {
+        allan::fitted(&deviations(Statistic::Overlapping, &octaves), phase.length_s(), step)
+    };
+    let analysed = Analysed {
+        rate_hz,
+        samples: phase.samples(),
+        mean,
+        // The steps of an angle are no steps of its rate.
+        step: step.filter(|_| !arguments.phase),
+        rises: phase.rises(),
+        fit,
+        name,
+    };
+    Ok(Analysis { analysed, points, unit })
+}
+
+fn write_files(
+    arguments: &AllanArguments,
+    results: &[Analysis],
+    provenance: &Provenance,
+) -> Result<(), InputError> {
+    let columns: Vec<Analysed> = results.iter().map(|r| r.analysed.clone()).collect();
+    // All texts before the first file: what one of them refuses must not leave another behind.
+    let mut files: Vec<(&Path, String)> = Vec::new();
+    if let Some(path) = &arguments.imu {
+        files.push((path, model::preset(&columns, provenance)?));
+    }
+    if let Some(path) = &arguments.kalibr {
+        files.push((path, model::kalibr(&columns, provenance)?));
+    }
+    if let Some(path) = &arguments.plot {
+        let fitted = arguments.statistic() != Statistic::Modified;
+        let panels = results.iter().map(|r| {
+            plot::panel(&r.analysed.name, &r.unit, &r.points, Some(&r.analysed.fit).filter(|_| fitted))
+        });
+        let longest =
+            results.iter().map(|r| r.analysed.samples as f64 / r.analysed.rate_hz).fold(0.0, f64::max);
+        let heading = (
+            format!("{} Allan deviation", statistic_name(arguments.statistic())),
+            format!("{}, {longest:.0} s; slopes of the fitted errors dashed", provenance.file),
+        );
+        files.push((path, plot::chart(heading, panels.collect()).to_svg_file()));
+    }
+    for (path, text) in files {
+        let mut file = OutputFile::create(path)?;
+        file.write_all(text.as_bytes()).map_err(|error| file.error(&error))?;
+        file.finish()?;
+    }
+    Ok(())
+}
+
+fn statistic_name(statistic: Statistic) -> &'static str {
+    match statistic {
+        Statistic::Overlapping => "Overlapping",
+        Statistic::Standard => "Standard",
+        Statistic::Modified => "Modified",
+        Statistic::Hadamard => "Overlapping Hadamard, not",
+        Statistic::Total => "Total",
+    }
+}
+
+fn to_json(results: &[Analysis], rate_hz: f64, wall_s: f64, provenance: &Provenance) -> Value {
+    let mut columns = Map::new();
+    for result in results {
+        let Analysed { name, rate_hz, samples, mean, step, fit, .. } = &result.analysed;
+        let of = |what: fn(&Point) -> Value| result.points.iter().map(what).collect::<Vec<_>>();
+        let mut object = json!({
+            "unit": result.unit,
+            "rate_hz": rate_hz,
+            "samples": samples,
+            "mean": mean,
+            "step": step,
+            "tau_s": of(|p| json!(p.tau_s)),
+            "deviation": of(|p| json!(p.deviation)),
+            "lower": of(|p| json!(p.lower)),
+            "upper": of(|p| json!(p.upper)),
+            "pairs": of(|p| json!(p.pairs)),
+            "edf": of(|p| json!(p.edf)),
+            "alpha": of(|p| json!(p.alpha)),
+            "fitted_s": fit.range_s.map(|(from, to)| [from, to]),
+            "note": fit.note,
+        });
+        let (mut uncertainty, mut reason, mut at_most) = (Map::new(), Map::new(), Map::new());
+        for (coefficient, found) in Coefficient::ALL.into_iter().zip(&fit.found) {
+            let name = coefficient.name();
+            object[name] = json!(found.value());
+            match found {
+                Found::Value { uncertainty: u, .. } => uncertainty.insert(name.into(), json!(u)),
+                Found::Hidden { reason: r, at_most: most } => {
+                    at_most.insert(name.into(), json!(most));
+                    reason.insert(name.into(), json!(r))
+                }
+            };
+        }
+        object["uncertainty"] = uncertainty.into();
+        object["reason"] = reason.into();
+        object["at_most"] = at_most.into();
+        columns.insert(name.clone(), object);
+    }
+    let temperature = provenance.temperature.as_ref().map(|(_, low, high)| [low, high]);
+    json!({ "rate_hz": rate_hz, "wall_s": wall_s, "temperature": temperature, "columns": columns })
+}
+
+fn describe(results: &[Analysis], arguments: &AllanArguments, rate_hz: f64, wall_s: f64) -> String {
+    let mut text = format!("{}: {rate_hz:.6} rows a second, {wall_s:.2} s\n", arguments.log.display());
+    for Analysis { analysed, points, unit } in results {
+        let length_s = analysed.samples as f64 / analysed.rate_hz;
+        let _ = write!(
+            text,
+            "\n{} ({unit}): {} samples, {length_s:.1} s, mean {:.6}\n",
+            analysed.name, analysed.samples, analysed.mean
+        );
+        for (coefficient, found) in Coefficient::ALL.into_iter().zip(&analysed.fit.found) {
+            let _ = writeln!(
+                text,
+                "  {} {:<17} {}",
+                coefficient.letter(),
+                coefficient.name().replace('_', " "),
+                plot::said(coefficient, found, unit)
+            );
+        }
+        if let Some(note) = &analysed.fit.note {
+            let _ = writeln!(text, "  note: {note}");
+        }
+        // All τ of a long record would be a book.
+        if points.len() <= 60 {
+            let _ = writeln!(
+                text,
+                "  {:>12} {:>13} {:>13} {:>13} {:>11}",
+                "τ, s", "deviation", "lower", "upper", "pairs"
+            );
+            for p in points {
+                let _ = writeln!(
+                    text,
+                    "  {:>12.6} {:>13.6e} {:>13.6e} {:>13.6e} {:>11}",
+                    p.tau_s, p.deviation, p.lower, p.upper, p.pairs
+                );
+            }
+        }
+    }
+    text
+}

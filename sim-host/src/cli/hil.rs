@@ -1,0 +1,178 @@
+//! The command `hil`.
+
+use std::fmt::Write as _;
+use std::path::Path;
+use std::time::Instant;
+
+use serde_json::{Value, json};
+use sim_host::flight::FlightLog;
+use sim_host::hil::{self, Account, Faults, Flown, LinkError, Received, Report, Serial, Wire};
+use sim_host::input_error::InputError;
+use sim_host::report::{self, Recorder};
+use sim_host::scene::Scene;
+
+use super::progress::FlightProgress;
+use super::{Answer, HilArguments, fly, interrupt, load};
+
+pub fn run(arguments: &HilArguments) -> Result<Answer, InputError> {
+    let scene = load(&arguments.scene, arguments.seed, arguments.duration)?;
+    match &arguments.board.serial {
+        Some(port) => {
+            let mut serial = Serial::open(port)?;
+            let (flown, wall_s) = one(&mut serial, &scene, arguments)?;
+            Ok(answer(&scene, port, &flown, wall_s, None))
+        }
+        None => on_qemu(&scene, arguments),
+    }
+}
+
+#[cfg(unix)]
+fn on_qemu(scene: &Scene, arguments: &HilArguments) -> Result<Answer, InputError> {
+    let image = arguments.image.as_deref().map_or_else(|| hil::build(hil::PIPES), hil::check)?;
+    let mut qemu = hil::Qemu::start(&image)?;
+    let (flown, wall_s) = one(&mut qemu, scene, arguments)?;
+    Ok(answer(scene, &image, &flown, wall_s, Some(&qemu.end())))
+}
+
+#[cfg(not(unix))]
+fn on_qemu(_: &Scene, _: &HilArguments) -> Result<Answer, InputError> {
+    Err(InputError::new("needs named pipes, which this system does not have").field("--qemu"))
+}
+
+/// One flight, with whatever is to be written about it.
+fn one(wire: &mut impl Wire, scene: &Scene, arguments: &HilArguments) -> Result<(Flown, f64), InputError> {
+    let log = arguments.log.as_ref().map(|path| FlightLog::create(path, scene)).transpose()?;
+    let recorder = arguments.report.as_ref().map(|_| Recorder::new());
+    let progress = FlightProgress::new(scene.duration_s, &scene.name);
+
+    let mut observer = ((log, recorder), progress);
+    let stop = interrupt::flag();
+    let start = Instant::now();
+    let flown = hil::fly(wire, scene, scene.seed, faults(arguments), stop, &mut observer);
+    let wall_s = start.elapsed().as_secs_f64();
+    let ((log, recorder), progress) = observer;
+    progress.finish();
+
+    // A flight that was broken off leaves no file that reads like a short one.
+    if flown.ended.is_ok() {
+        if let Some(log) = log {
+            log.finish()?;
+        }
+        if let (Some(path), Some(recorder)) = (&arguments.report, &recorder) {
+            report::write(path, scene, scene.seed, &flown.outcome, recorder)?;
+        }
+    }
+    Ok((flown, wall_s))
+}
+
+fn faults(arguments: &HilArguments) -> Faults {
+    let from_us = (arguments.delay_at_s.unwrap_or(0.0) * 1e6) as u64;
+    let for_us = u64::from(arguments.delay_ms.unwrap_or(0)) * 1_000;
+    Faults { flip_bit_every: arguments.flip_bit_every, held_back_us: from_us..from_us + for_us }
+}
+
+/// Why the flight is not as it should be, a crash of the vehicle apart.
+fn complaint(flown: &Flown, account: Option<&Account>) -> Option<String> {
+    match (&flown.ended, account) {
+        (Err(LinkError::Closed), Some(account)) => Some(account.how()),
+        (Err(error), _) => Some(error.to_string()),
+        (Ok(()), Some(account)) if !account.is_success() => Some(account.how()),
+        (Ok(()), _) if !flown.report.is_clean() => Some("the link has lost or damaged frames".into()),
+        (Ok(()), _) => None,
+    }
+}
+
+fn answer(scene: &Scene, firmware: &Path, flown: &Flown, wall_s: f64, account: Option<&Account>) -> Answer {
+    let Flown { outcome, ended, report } = flown;
+    let complaint = complaint(flown, account);
+    let verdict = match (ended, &complaint) {
+        (Err(_), Some(why)) => format!("BROKEN OFF at {:.3} s: {why}", outcome.flown_s()),
+        (Ok(()), Some(why)) => format!("{}, BUT {why}", fly::verdict(outcome)),
+        _ => fly::verdict(outcome),
+    };
+    let unmodelled = account.map(|account| &account.unmodelled[..]);
+    let last_words = account.filter(|_| complaint.is_some()).map_or(&[][..], |account| &account.last_words);
+
+    let mut text = fly::describe(scene, outcome, &verdict, wall_s);
+    write!(
+        text,
+        "\n\n  \
+         firmware                 {}\n  \
+         frames                   {}, {} of them without an answer\n  \
+         link                     to the firmware {}; from it {}\n  \
+         resets                   {}\n  \
+         missed deadlines         {}\n  \
+         instructions             {}",
+        firmware.display(),
+        report.frames,
+        report.unanswered,
+        in_words(report.to_board),
+        in_words(report.to_host),
+        resets(report),
+        report.missed_deadlines,
+        report.mean_instructions().map_or("not counted".into(), |mean| {
+            format!("mean {mean:.0}, most {} from sample to motors", report.most_instructions)
+        }),
+    )
+    .expect(TAKES_ALL);
+    if let Some(unmodelled) = unmodelled {
+        write!(text, "\n  unmodelled accesses      {}", unmodelled.len()).expect(TAKES_ALL);
+        for line in unmodelled.iter().take(MOST_LINES) {
+            write!(text, "\n    {line}").expect(TAKES_ALL);
+        }
+    }
+    if !last_words.is_empty() {
+        write!(text, "\n  the emulator's last words").expect(TAKES_ALL);
+        last_words.iter().for_each(|line| write!(text, "\n    {line}").expect(TAKES_ALL));
+    }
+
+    let mut json = fly::to_json(scene, scene.seed, outcome, wall_s);
+    let further = json!({
+        "firmware": firmware.display().to_string(),
+        "ended_by": complaint,
+        "frames": report.frames,
+        "unanswered": report.unanswered,
+        "to_board": to_json(report.to_board),
+        "to_host": to_json(report.to_host),
+        "resets": report.resets.iter().map(|reset| json!({
+            "at_s": reset.time_us as f64 * 1e-6,
+            "by_watchdog": reset.by_watchdog,
+        })).collect::<Vec<_>>(),
+        "missed_deadlines": report.missed_deadlines,
+        "instructions_mean": report.mean_instructions(),
+        "instructions_max": report.mean_instructions().map(|_| report.most_instructions),
+        "unmodelled_accesses": unmodelled.map(<[String]>::len),
+        "last_words": last_words,
+    });
+    if let (Value::Object(json), Value::Object(further)) = (&mut json, further) {
+        json.extend(further);
+    }
+    Answer { json, text, failed: complaint.is_some() || outcome.crash.is_some() }
+}
+
+/// A `String` never refuses to be written to.
+const TAKES_ALL: &str = "a String takes everything";
+/// More lines of unmodelled accesses are only counted.
+const MOST_LINES: usize = 10;
+
+fn in_words(received: Received) -> String {
+    let Received { corrupt, lost, repeated } = received;
+    format!("{corrupt} damaged, {lost} lost, {repeated} repeated or late")
+}
+
+fn to_json(received: Received) -> Value {
+    let Received { corrupt, lost, repeated } = received;
+    json!({ "corrupt": corrupt, "lost": lost, "repeated": repeated })
+}
+
+fn resets(report: &Report) -> String {
+    let one = |reset: &hil::Reset| {
+        let by = if reset.by_watchdog { " by the watchdog" } else { "" };
+        format!("at {:.3} s{by}", reset.time_us as f64 * 1e-6)
+    };
+    if report.resets.is_empty() {
+        "none".into()
+    } else {
+        report.resets.iter().map(one).collect::<Vec<_>>().join(", ")
+    }
+}

@@ -1,0 +1,49 @@
+//! The command `paper`: its tables and figures, made again.
+
+use std::fmt::Write as _;
+use std::path::PathBuf;
+
+use serde_json::{Value, json};
+use sim_host::input_error::InputError;
+use sim_host::paper::{self, Exhibit};
+
+use super::{Answer, progress};
+
+/// Where recordings are looked for: the directory that the tests take theirs from.
+const RECORDINGS: &str = "KESTREL_DATA";
+
+#[derive(clap::Args)]
+pub struct PaperArguments {
+    /// Directory for the page and the files beside it; made if it is not there. Figures 10 to 15 take
+    /// recordings from the directory that the environment variable KESTREL_DATA names
+    #[arg(long, value_name = "DIR", default_value = "paper")]
+    out: PathBuf,
+}
+
+pub fn run(arguments: &PaperArguments) -> Result<Answer, InputError> {
+    let recordings = std::env::var_os(RECORDINGS).filter(|path| !path.is_empty()).map(PathBuf::from);
+    let bar = progress::bar(100, "paper");
+    let made = paper::make(&arguments.out, recordings.as_deref(), &|percent| bar.set_position(percent))?;
+    bar.finish_and_clear();
+    let mut text = String::new();
+    for exhibit in made.tables.iter().chain(&made.figures) {
+        let _ = writeln!(text, "{}\n  {}", exhibit.title, exhibit.in_short);
+    }
+    if let Some(left_out) = &made.left_out {
+        let _ = writeln!(text, "\n{left_out}");
+    }
+    let _ = write!(text, "\n{}", arguments.out.join("index.html").display());
+    let list = |exhibits: &[Exhibit]| -> Vec<Value> {
+        exhibits
+            .iter()
+            .map(|e| json!({ "name": e.name, "title": e.title, "in_short": e.in_short, "csv": format!("{}.csv", e.name) }))
+            .collect()
+    };
+    let json = json!({
+        "page": arguments.out.join("index.html"),
+        "tables": list(&made.tables),
+        "figures": list(&made.figures),
+        "left_out": made.left_out,
+    });
+    Ok(Answer { json, text, failed: false })
+}

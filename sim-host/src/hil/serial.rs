@@ -1,0 +1,74 @@
+//! A board at a serial port.
+//!
+//! Nobody knows how far a board at the end of a cable has come, so a frame is given a time, and a board a number of
+//! frames: after [`FRAME_WAIT`] without an answer the frame counts as lost and the next is sent, and after
+//! [`MOST_UNANSWERED`] of them in a row the board counts as silent.
+
+use std::io::{self, Read, Write};
+use std::path::Path;
+use std::time::Duration;
+
+use serial2::SerialPort;
+
+use super::link::{Patience, Wire};
+use crate::input_error::InputError;
+
+/// Bits per second, 8 data bits, no parity, one stop bit. A step and its answer are at most 120 bytes: 1.3 ms.
+pub const BAUD: u32 = 921_600;
+/// How long a frame is waited for. A USB converter alone may hold a byte back for 16 ms.
+const FRAME_WAIT: Duration = Duration::from_millis(200);
+/// So many frames without an answer, in a row, end the flight.
+const MOST_UNANSWERED: u32 = 100;
+
+/// A serial port.
+pub struct Serial {
+    port: SerialPort,
+    unanswered: u32,
+}
+
+impl Serial {
+    /// Opens the port of this name.
+    ///
+    /// # Errors
+    /// It is not there, or cannot be set up.
+    pub fn open(name: &Path) -> Result<Self, InputError> {
+        let open = || {
+            let mut port = SerialPort::open(name, BAUD)?;
+            port.set_read_timeout(FRAME_WAIT)?;
+            port.set_write_timeout(FRAME_WAIT * MOST_UNANSWERED)?;
+            io::Result::Ok(Self { port, unanswered: 0 })
+        };
+        open().map_err(|error| {
+            InputError::new(format!("cannot be opened: {error}")).field("--serial").value(name.display())
+        })
+    }
+}
+
+impl Read for Serial {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        let length = self.port.read(buffer)?;
+        self.unanswered = 0;
+        Ok(length)
+    }
+}
+
+impl Write for Serial {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.port.write(bytes)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.port.flush()
+    }
+}
+
+impl Wire for Serial {
+    fn patience(&mut self) -> Patience {
+        self.unanswered += 1;
+        if self.unanswered < MOST_UNANSWERED {
+            Patience::NextFrame
+        } else {
+            Patience::Silent(format!("no answer to {MOST_UNANSWERED} frames in a row"))
+        }
+    }
+}

@@ -1,0 +1,196 @@
+//! A board that speaks the link with a real flight controller behind it, as the firmware does, and some that do not.
+
+use flight_core::FlightController;
+use flight_core::esc::EscParams;
+use flight_core::sample::{Health, Input};
+use hil_link::{Decoder, Done, MAX_FRAME, Order, Received, Started, Step, ToBoard, ToHost, encode};
+
+/// How a board behaves.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Habit {
+    /// As it should.
+    Good,
+    /// Is gone after so many steps.
+    DiesAfter(u32),
+    /// Answers no more after so many steps.
+    SilentAfter(u32),
+    /// Answers no more after so many steps, and computes.
+    BusyAfter(u32),
+    /// Is reset after so many steps, by its watchdog, and forgets the step.
+    ResetAfter(u32),
+    /// Is reset at every step.
+    ResetsForEver,
+    /// Flips a bit in every so many-th answer.
+    Damages(u32),
+    /// Sends every so many-th answer twice.
+    Repeats(u32),
+    /// Does not send every so many-th answer.
+    Loses(u32),
+    /// Sends every so many-th answer after the next.
+    Delays(u32),
+    /// Sends bytes, and no frame.
+    Babbles,
+    /// Takes no configuration.
+    Refuses,
+    /// Speaks version 9.
+    OtherVersion,
+    /// Sends messages that there are none of.
+    OtherMessages,
+    /// Answers every step with the time of the one before.
+    WrongTime,
+}
+
+/// The board, without the wire.
+pub struct Board {
+    habit: Habit,
+    decoder: Decoder,
+    controller: Option<FlightController>,
+    watchdog_reset: bool,
+    sequence: Option<u32>,
+    received: Received,
+    steps: u32,
+    delayed: Vec<u8>,
+    /// What it has sent and nobody has taken.
+    pub sent: Vec<u8>,
+    /// It is gone.
+    pub dead: bool,
+    /// The flight is over.
+    pub ended: bool,
+}
+
+impl Board {
+    /// A board that has just been switched on.
+    pub fn new(habit: Habit) -> Self {
+        let mut board = Self {
+            habit,
+            decoder: Decoder::default(),
+            controller: None,
+            watchdog_reset: false,
+            sequence: None,
+            received: Received::default(),
+            steps: 0,
+            delayed: vec![],
+            sent: vec![],
+            dead: false,
+            ended: false,
+        };
+        board.get_ready();
+        board
+    }
+
+    /// Steps taken.
+    pub fn steps(&self) -> u32 {
+        self.steps
+    }
+
+    fn get_ready(&mut self) {
+        match self.habit {
+            // Version 9, a message of one byte, number 0.
+            Habit::OtherVersion => self.sent.extend(by_hand(&[9, 1, 0, 0, 0, 0, 0, 2])),
+            Habit::Babbles => self.sent.extend([7; 100_000]),
+            // The 200th kind of message.
+            Habit::OtherMessages => self.sent.extend(by_hand(&[hil_link::VERSION, 2, 0, 0, 0, 0, 0, 200, 1])),
+            _ => self.answer(&ToHost::Ready(Started { watchdog_reset: self.watchdog_reset })),
+        }
+    }
+
+    fn reset(&mut self) {
+        self.controller = None;
+        self.watchdog_reset = true;
+        (self.sequence, self.received) = (None, Received::default());
+        self.get_ready();
+    }
+
+    /// Takes bytes from the host.
+    pub fn take(&mut self, bytes: &[u8]) {
+        for byte in bytes {
+            let Some(found) = self.decoder.push(*byte) else { continue };
+            let found = found.ok().and_then(|packet| Some((packet.sequence, packet.message::<ToBoard>()?)));
+            if !self.dead {
+                self.hear(found);
+            }
+        }
+    }
+
+    fn hear(&mut self, found: Option<(u32, ToBoard)>) {
+        let Some((sequence, message)) = found else {
+            self.received.corrupt += 1;
+            return self.answer(&ToHost::Bad(self.received));
+        };
+        match self.sequence.map_or(Order::Next, |last| Order::of(sequence, Some(last))) {
+            Order::Next => {}
+            Order::Lost(frames) => self.received.lost += frames,
+            Order::Repeated => {
+                self.received.repeated += 1;
+                return self.answer(&ToHost::Bad(self.received));
+            }
+        }
+        self.sequence = Some(sequence);
+        match message {
+            ToBoard::Start(_) if self.habit == Habit::Refuses => self.answer(&ToHost::Refused),
+            ToBoard::Start(config) => {
+                self.controller = FlightController::new(&config).ok();
+                self.answer(&ToHost::Started);
+            }
+            ToBoard::Step(step) => self.step(&step),
+            ToBoard::End => self.ended = true,
+        }
+    }
+
+    fn step(&mut self, step: &Step) {
+        let Some(controller) = &mut self.controller else { return self.get_ready() };
+        self.steps += 1;
+        let steps = self.steps;
+        match self.habit {
+            Habit::DiesAfter(n) if steps > n => return self.dead = true,
+            Habit::SilentAfter(n) if steps > n => return,
+            Habit::BusyAfter(n) if steps > n => while !std::hint::black_box(self.dead) {},
+            Habit::ResetAfter(n) if steps == n + 1 => return self.reset(),
+            Habit::ResetsForEver => return self.reset(),
+            _ => {}
+        }
+        let Step { time_us, imu, mag, rc, battery } = *step;
+        let health = Health { watchdog_reset: self.watchdog_reset, ..Health::default() };
+        let output = controller.step(&Input { time_us, imu, mag, rc, battery, bench: None, health });
+        let stop_us = EscParams::STANDARD.stop_us;
+        let driven = output.permit.is_some();
+        let done = Done {
+            time_us: if self.habit == Habit::WrongTime { time_us.saturating_sub(1_000) } else { time_us },
+            state: output.state,
+            event: output.event,
+            driven,
+            pulses_us: output.permit.map_or([stop_us; 4], |permit| permit.apply(output.pulses_us, stop_us)),
+            attitude: controller.attitude().to_array(),
+            instructions: 1_000 + steps % 2,
+            missed_deadlines: 0,
+            received: self.received,
+        };
+        let before = self.sent.len();
+        self.answer(&ToHost::Done(done));
+        let now = |every: u32| steps.is_multiple_of(every);
+        match self.habit {
+            Habit::Damages(n) if now(n) => self.sent[before + 9] ^= 0x10,
+            Habit::Repeats(n) if now(n) => self.sent.extend_from_within(before..),
+            Habit::Loses(n) if now(n) => self.sent.truncate(before),
+            Habit::Delays(n) if now(n) => self.delayed = self.sent.split_off(before),
+            _ => self.sent.append(&mut self.delayed),
+        }
+    }
+
+    fn answer(&mut self, message: &ToHost) {
+        let mut frame = [0; MAX_FRAME];
+        let length = encode(self.sequence.unwrap_or(0), message, &mut frame).unwrap();
+        self.sent.extend(&frame[..length]);
+    }
+}
+
+/// The frame of a packet: CRC and COBS bit by bit and byte by byte.
+fn by_hand(packet: &[u8]) -> Vec<u8> {
+    let crc = !packet.iter().fold(u32::MAX, |crc, byte| {
+        let shift = |crc: u32| if crc & 1 != 0 { crc >> 1 ^ 0xedb8_8320 } else { crc >> 1 };
+        (0..8).fold(crc ^ u32::from(*byte), |crc, _| shift(crc))
+    });
+    let whole = [packet, &crc.to_le_bytes()].concat();
+    let blocks = whole.split(|byte| *byte == 0).flat_map(|block| [&[block.len() as u8 + 1], block].concat());
+    blocks.chain([0]).collect()
+}

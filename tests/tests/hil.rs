@@ -1,0 +1,298 @@
+//! The firmware's image flies on QEMU's STM32F405, with `sim-host` for its world: through the real arming path, judged
+//! on the truth, and bit for bit as in this process.
+//!
+//! Each flight is compared with the one in process by every word that the flight code says: pulses, whether they are
+//! driven, state, event, attitude; and by the digest of truth and pulses.
+
+use std::fs::File;
+use std::io::Read as _;
+use std::num::NonZeroU32;
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::sync::{Arc, OnceLock};
+use std::time::{Duration, Instant};
+
+use flight_core::ArmState::{self, Armed, Arming, Descent, Disarmed, Terminated};
+use flight_core::arming::{Cause, Event};
+use sim_host::flight::{Flight, Observer, Outcome, StepView};
+use sim_host::hil::{self, Account, Faults, Flown, LinkError, Qemu, Received, Reset, Serial};
+use sim_host::scene::Scene;
+
+/// The image whose link is QEMU's pipes, built once.
+fn image() -> &'static Path {
+    static BUILT: OnceLock<PathBuf> = OnceLock::new();
+    BUILT.get_or_init(|| hil::build(hil::PIPES).unwrap())
+}
+
+/// Every word that the flight code says, step by step, and the events among them.
+#[derive(Default)]
+struct Words {
+    steps: Vec<[u32; 11]>,
+    events: Vec<(f64, Event)>,
+}
+
+impl Observer for Words {
+    fn step(&mut self, view: &StepView) {
+        let out = view.output;
+        let [p1, p2, p3, p4] = out.pulses_us.map(f32::to_bits);
+        let [w, x, y, z] = out.attitude.to_array().map(f32::to_bits);
+        let driven = u32::from(out.driven);
+        self.steps.push([view.time_us as u32, driven, out.state as u32, p1, p2, p3, p4, w, x, y, z]);
+        self.events.extend(out.event.map(|event| (view.time_us as f64 * 1e-6, event)));
+    }
+}
+
+impl Words {
+    /// What happened after arming: when, to which state, and why.
+    fn after_arming(&self) -> Vec<(f64, ArmState, Cause)> {
+        let flown = self.events.iter().skip_while(|(_, event)| event.to != Armed).skip(1);
+        flown.map(|(time_s, event)| (*time_s, event.to, event.cause)).collect()
+    }
+}
+
+fn on_qemu(scene: &Scene, faults: Faults) -> (Flown, Words, Account) {
+    let mut qemu = Qemu::start(image()).unwrap();
+    let mut words = Words::default();
+    let flown = hil::fly(&mut qemu, scene, scene.seed, faults, Arc::default(), &mut words);
+    let account = qemu.end();
+    (flown, words, account)
+}
+
+fn in_process(scene: &Scene) -> (Outcome, Words) {
+    let mut words = Words::default();
+    let outcome = Flight::new(scene, scene.seed).run(&mut words);
+    (outcome, words)
+}
+
+/// Flies a scene on both, and compares every word.
+fn the_same_on_both(scene: &Scene) -> (Outcome, Words) {
+    let start = Instant::now();
+    let (Flown { outcome, ended, report }, words, account) = on_qemu(scene, Faults::default());
+    let wall_s = start.elapsed().as_secs_f64();
+    let name = &scene.name;
+    assert!(ended.is_ok() && account.is_success(), "{name}: {ended:?} {account:?}");
+    assert!(report.is_clean() && report.missed_deadlines == 0, "{name}: {report:?}");
+    assert_eq!(account.unmodelled, [""; 0], "{name}");
+    let (outcome_here, here) = in_process(scene);
+    for (board, host) in words.steps.iter().zip(&here.steps) {
+        assert_eq!(board, host, "{name}: the board's words, and the host's");
+    }
+    assert_eq!((&outcome, &words.events), (&outcome_here, &here.events), "{name}");
+    println!(
+        "{name}: {} steps are the same, digest {:016x}; {:.1} × real time; {:.0} instructions from sample to motors, \
+         at most {}",
+        outcome.control_steps,
+        outcome.digest,
+        outcome.flown_s() / wall_s,
+        report.mean_instructions().unwrap(),
+        report.most_instructions,
+    );
+    (outcome, words)
+}
+
+fn scene(name: &str) -> Scene {
+    Scene::load(name).unwrap()
+}
+
+/// The hover scene with these tables on top.
+fn hover_with(tables: &str) -> Scene {
+    Scene::parse("altered", &format!("include = \"hover\"\n{tables}")).unwrap()
+}
+
+#[test]
+#[ignore = "needs qemu-system-arm"]
+fn flights_on_the_board_equal_those_in_process_bit_for_bit() {
+    for name in ["hover", "steps", "windy-landing"] {
+        let scene = scene(name);
+        let (outcome, _) = the_same_on_both(&scene);
+        assert_eq!((outcome.crash, outcome.final_state), (None, Disarmed), "{name}: {outcome:?}");
+        // And again.
+        assert_eq!(the_same_on_both(&scene).0, outcome, "{name}");
+    }
+}
+
+#[test]
+#[ignore = "needs qemu-system-arm"]
+fn samples_that_come_late_or_not_at_all_are_the_same_on_the_board() {
+    for name in ["bad-link", "rough-sampling", "whole-drive"] {
+        the_same_on_both(&scene(name));
+    }
+}
+
+#[test]
+#[ignore = "needs qemu-system-arm"]
+fn whatever_fails_in_flight_ends_on_the_board_in_the_state_that_the_page_promises() {
+    let fault = |text: &str| hover_with(&format!("[[fault]]\nat_s = 15.0\n{text}"));
+    let stuck = "kind = \"stuck_axis\"\nsensor = \"gyro\"\naxis = \"y\"\n";
+    // Enough to arm with, and half a minute's worth.
+    let weak = hover_with(
+        "[effects.vehicle.battery_sag]\ncells = 3\ncapacity_mah = 400.0\nresistance_mohm = 60.0\n\
+         efficiency = 0.6\ncharge = 0.06\n",
+    );
+    for (what, scene, state, cause, noticed_s) in [
+        (
+            "receiver silent",
+            hover_with("[effects.link.outage]\nat_s = 15.0\n"),
+            Descent,
+            Cause::RcLost,
+            Some(15.48),
+        ),
+        ("sensor dead", fault("kind = \"dead\"\nsensor = \"imu\"\n"), Terminated, Cause::ImuLost, Some(15.1)),
+        (
+            "invalid code",
+            fault("kind = \"invalid_code\"\nsensor = \"imu\"\n"),
+            Terminated,
+            Cause::ImuLost,
+            Some(15.1),
+        ),
+        ("axis stuck", fault(stuck), Terminated, Cause::ImuStuck, Some(15.1)),
+        ("battery critical", weak, Descent, Cause::BatteryCritical, None),
+    ] {
+        let (_, words) = the_same_on_both(&scene);
+        let (at_s, to, why) = words.after_arming()[0];
+        println!("{what}: {} after {at_s:.3} s, {}", to.name(), why.text());
+        assert_eq!((to, why), (state, cause), "{what}");
+        assert!(noticed_s.is_none_or(|s| (at_s - s).abs() < 3e-3), "{what}: {at_s}");
+    }
+}
+
+fn held_back(us: Range<u64>) -> Faults {
+    Faults { held_back_us: us, ..Faults::default() }
+}
+
+/// Frames that both sides miss.
+fn lost(frames: u32) -> Received {
+    Received { lost: frames, ..Received::default() }
+}
+
+#[test]
+#[ignore = "needs qemu-system-arm"]
+fn late_frames_are_noticed_by_the_time_that_they_take() {
+    // A twentieth of a second: it flies on.
+    let (Flown { outcome, ended, report }, words, account) =
+        on_qemu(&scene("hover"), held_back(15_000_000..15_050_000));
+    assert!(ended.is_ok() && account.is_success(), "{ended:?}");
+    assert_eq!((report.to_board, report.to_host), (lost(50), lost(50)));
+    assert_eq!((outcome.crash, outcome.final_state), (None, Disarmed));
+    assert!(matches!(words.after_arming()[..], [(_, Disarmed, Cause::Pilot)]), "{:?}", words.events);
+
+    // More than half a second: the link to the pilot is lost, and found again.
+    let (Flown { outcome, ended, report }, words, account) =
+        on_qemu(&scene("hover"), held_back(15_000_000..15_600_000));
+    assert!(ended.is_ok() && account.is_success(), "{ended:?}");
+    assert_eq!((report.to_board, report.to_host), (lost(600), lost(600)));
+    let [(lost_s, Descent, Cause::RcLost), (back_s, Armed, Cause::RcBack), (_, Disarmed, Cause::Pilot)] =
+        words.after_arming()[..]
+    else {
+        panic!("{:?}", words.events)
+    };
+    assert!((lost_s - 15.6).abs() < 2e-3 && (back_s - 16.1).abs() < 2e-2, "{lost_s} {back_s}");
+    assert_eq!(outcome.final_state, Disarmed);
+}
+
+#[test]
+#[ignore = "needs qemu-system-arm"]
+fn a_board_that_is_not_fed_frames_is_reset_by_its_watchdog_into_terminated() {
+    let mut scene = scene("static");
+    scene.set_duration(3.4).unwrap();
+    let (Flown { outcome, ended, report }, _, account) = on_qemu(&scene, held_back(1_000_000..2_500_000));
+    assert!(ended.is_ok() && account.is_success(), "{ended:?}");
+    assert_eq!(report.resets, [Reset { time_us: 2_500_000, by_watchdog: true }]);
+    assert_eq!(outcome.final_state, Terminated);
+}
+
+#[test]
+#[ignore = "needs qemu-system-arm"]
+fn a_flipped_bit_in_every_thousandth_frame_is_counted_and_keeps_the_vehicle_on_the_ground() {
+    let faults = Faults { flip_bit_every: NonZeroU32::new(1_000), ..Faults::default() };
+    let (Flown { outcome, ended, report }, words, account) = on_qemu(&scene("hover"), faults);
+    assert!(ended.is_ok() && account.is_success(), "{ended:?}");
+    assert!(!report.is_clean());
+    assert_eq!((outcome.control_steps, outcome.crash), (30_000, None));
+    assert!((30..35).contains(&report.to_board.corrupt), "{report:?}");
+    // The firmware sees a deadline missed every second, and does not arm.
+    let [(_, Event { from: Disarmed, to: Disarmed, cause: Cause::Overload })] = words.events[..] else {
+        panic!("{:?}", words.events)
+    };
+
+    // Rarely enough, it arms and flies: each costs a sample.
+    let faults = Faults { flip_bit_every: NonZeroU32::new(4_999), ..Faults::default() };
+    let (Flown { outcome, ended, report }, words, _) = on_qemu(&scene("hover"), faults);
+    assert!(ended.is_ok(), "{ended:?}");
+    assert_eq!((outcome.crash, outcome.final_state), (None, Disarmed), "{report:?}");
+    assert!((6..=8).contains(&report.to_board.corrupt), "{report:?}");
+    let states: Vec<ArmState> = words.events.iter().map(|(_, event)| event.to).collect();
+    assert_eq!(states, [Arming, Armed, Disarmed]);
+}
+
+#[test]
+#[ignore = "needs qemu-system-arm"]
+fn an_emulator_that_is_killed_in_flight_ends_the_flight() {
+    struct KillAt(u64, u32);
+    impl Observer for KillAt {
+        fn step(&mut self, view: &StepView) {
+            if view.time_us == self.0 {
+                assert!(Command::new("kill").args(["-9", &self.1.to_string()]).status().unwrap().success());
+            }
+        }
+    }
+    let scene = scene("hover");
+    let mut qemu = Qemu::start(image()).unwrap();
+    let mut killer = KillAt(10_000_000, qemu.id());
+    let flown = hil::fly(&mut qemu, &scene, scene.seed, Faults::default(), Arc::default(), &mut killer);
+    assert!(matches!(flown.ended, Err(LinkError::Closed)), "{:?}", flown.ended);
+    assert!((10_000..10_100).contains(&flown.outcome.control_steps), "{:?}", flown.outcome);
+    assert_eq!(qemu.end().how(), "the emulator has ended (signal: 9 (SIGKILL))");
+}
+
+#[test]
+#[ignore = "needs qemu-system-arm"]
+fn a_flight_over_the_serial_port_is_the_same_flight() {
+    struct KilledOnDrop(Child);
+    impl Drop for KilledOnDrop {
+        fn drop(&mut self) {
+            // An error means that it has ended, which is all that is wanted.
+            let _ = self.0.kill();
+            let _ = self.0.wait();
+        }
+    }
+    let image = hil::build(hil::USART).unwrap();
+    let directory = Path::new(env!("CARGO_TARGET_TMPDIR"));
+    let said = directory.join("hil-serial.txt");
+    let out = File::create(&said).unwrap();
+    // USART1 to 5 go nowhere, USART6 to a pseudo terminal.
+    let emulator = Command::new("qemu-system-arm")
+        .args(["-machine", "netduinoplus2", "-icount", "shift=2,sleep=off"])
+        .args(["-semihosting-config", "enable=on,target=native", "-display", "none", "-monitor", "none"])
+        .args(["-serial", "null"].repeat(5))
+        .args(["-serial", "pty", "-kernel"])
+        .arg(image)
+        .stdin(Stdio::null())
+        .stdout(out.try_clone().unwrap())
+        .stderr(out)
+        .spawn()
+        .expect("qemu-system-arm runs: apt-get install qemu-system-arm");
+    let _emulator = KilledOnDrop(emulator);
+    let start = Instant::now();
+    let port = loop {
+        let mut text = String::new();
+        File::open(&said).unwrap().read_to_string(&mut text).unwrap();
+        if let Some(name) = text.split_ascii_whitespace().find(|word| word.starts_with("/dev/")) {
+            break PathBuf::from(name);
+        }
+        assert!(start.elapsed() < Duration::from_secs(30), "{text}");
+        std::thread::sleep(Duration::from_millis(20));
+    };
+    // The emulator takes a byte at a time from a terminal, and so some milliseconds for a step.
+    let mut scene = scene("static");
+    scene.set_duration(3.0).unwrap();
+    let mut serial = Serial::open(&port).unwrap();
+    let mut words = Words::default();
+    let start = Instant::now();
+    let flown = hil::fly(&mut serial, &scene, scene.seed, Faults::default(), Arc::default(), &mut words);
+    println!("{:.1} × real time", flown.outcome.flown_s() / start.elapsed().as_secs_f64());
+    assert!(flown.ended.is_ok() && flown.report.is_clean(), "{:?} {:?}", flown.ended, flown.report);
+    let (outcome, here) = in_process(&scene);
+    assert_eq!((flown.outcome, words.steps, words.events), (outcome, here.steps, here.events));
+}
