@@ -226,9 +226,8 @@ impl RobustFilter {
         let gain = |p: f32| min(p * INFORMATION, most);
         self.take_bias(self.bias - back.scale_by(vec3(gain(x), gain(y), gain(z))));
         // P is bounded by what was not known at first.
-        let narrowed = |p: f32, seen: f32| {
-            min(p / (1.0 + p * seen * (INFORMATION * dt_s)), FIRST_BIAS * FIRST_BIAS)
-        };
+        let narrowed =
+            |p: f32, seen: f32| min(p / (1.0 + p * seen * (INFORMATION * dt_s)), FIRST_BIAS * FIRST_BIAS);
         self.variance = vec3(narrowed(x, seen.x), narrowed(y, seen.y), narrowed(z, seen.z));
     }
 
@@ -248,7 +247,8 @@ impl RobustFilter {
         if level_squared < MIN_HORIZONTAL_FIELD_SQUARED {
             return;
         }
-        let Some((level_excess, vertical_excess)) = self.north.excess(sqrt(level_squared), field.z, dt_s) else {
+        let Some((level_excess, vertical_excess)) = self.north.excess(sqrt(level_squared), field.z, dt_s)
+        else {
             return;
         };
         let excess = wrap_pi(atan2(field.y, field.x) - self.declination_rad);

@@ -382,7 +382,7 @@ mod robust {
         let number = prop_oneof![
             4 => -scale..scale,
             1 => any::<f32>(),
-            1 => prop::sample::select(vec![0.0, f32::NAN, f32::INFINITY, f32::MIN_POSITIVE, f32::MAX]),
+            1 => prop::sample::select(&[0.0, f32::NAN, f32::INFINITY, f32::MIN_POSITIVE, f32::MAX][..]),
         ];
         [number.clone(), number.clone(), number].prop_map(Vec3::from)
     }
