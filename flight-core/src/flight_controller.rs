@@ -222,17 +222,19 @@ impl FlightController {
         let dt_s = if gap { 0.0 } else { self.imu_age_us as f32 * 1.0e-6 };
         self.imu_age_us = 0;
 
-        let gyro = self.gyro_prefilter.step(self.gyro_model.apply(sample.gyro));
-        let accel = self.accel_prefilter.step(self.accel_model.apply(sample.accel));
+        let read = (self.gyro_model.apply(sample.gyro), self.accel_model.apply(sample.accel));
+        let gyro = self.gyro_prefilter.step(read.0);
+        let accel = self.accel_prefilter.step(read.1);
         if !self.arming.state().flies() {
             self.gyro_zero.learn(gyro, accel, dt_s);
             if self.zeroed_and_still() {
                 self.estimator.gyro_zeroed();
             }
         }
-        let zeroed = gyro - self.gyro_zero.bias();
-        self.estimator.update(zeroed, accel, mag, dt_s);
-        self.rates = zeroed - self.estimator.gyro_bias();
+        let zero = self.gyro_zero.bias();
+        let taken = if self.estimator.is_a_low_pass() { read } else { (gyro, accel) };
+        self.estimator.update(taken.0 - zero, taken.1, mag, dt_s);
+        self.rates = gyro - zero - self.estimator.gyro_bias();
     }
 
     /// After a gap in the samples the filters' pasts are no longer theirs.

@@ -50,24 +50,28 @@ const MAX_DT_S: f32 = 1.0;
 
 /// What is not known of the bias at first, rad/s.
 const FIRST_BIAS: f32 = 3.0 * DEGREE;
-/// Random walk of the bias, rad/s/√s: 0.1 °/s in 100 s.
-const BIAS_WALK: f32 = 0.01 * DEGREE;
-/// Noise of the bias as rest shows it, rad/s/√Hz: with the walk a time constant of 0.09/0.01 = 9 s, and a
-/// deviation of √(0.09 · 0.01) = 0.03 °/s.
-const REST_NOISE: f32 = 0.09 * DEGREE;
-/// Noise of the bias as motion shows it, rad/s/√Hz: 1/0.01 = 100 s and √(1 · 0.01) = 0.1 °/s.
-const MOVING_NOISE: f32 = 1.0 * DEGREE;
+/// Random walk of the bias, rad/s/√s: 0.2 °/s in 100 s, what a chip of 0.01 to 0.02 °/s/K does while it warms up by
+/// 10 to 20 K.
+const BIAS_WALK: f32 = 0.02 * DEGREE;
+/// Noise of the bias as rest shows it, rad/s/√Hz: with the walk a time constant of 0.1/0.02 = 5 s, and a
+/// deviation of √(0.1 · 0.02) = 0.045 °/s.
+const REST_NOISE: f32 = 0.1 * DEGREE;
+/// Noise of the bias as motion shows it, rad/s/√Hz: 0.5/0.02 = 25 s and √(0.5 · 0.02) = 0.1 °/s. A lean that
+/// wanders by σ over τ makes σ √(2/τ) of it: 0.5 for σ = 0.8° and 5 s.
+const MOVING_NOISE: f32 = 0.5 * DEGREE;
 /// Largest share of a turn back that goes into the bias, s⁻¹, times τ. The loop l, θ, b has the polynomial
-/// s³τ²/2 + s²τ + s + k, stable for k < 2/τ (Routh); this stays 6 times below.
+/// s³τ²/2 + s²τ + s + k, stable for k < 2/τ (Routh); this stays nearly 6 times below.
 const MAX_LEARNING: f32 = 0.35;
 /// A lean beyond this (17°) is a start from a wrong attitude, or a manoeuvre, not a bias.
 const MAX_BIAS_LEAN: f32 = 0.3;
 
 /// The sensor is at rest while its readings, smoothed over [`REST_FAST_S`], are this near to their means over
 /// [`REST_SLOW_S`] for [`REST_FOR_S`]; rad/s, m/s². The smoothing makes the test the same at any rate: a
-/// noise of N has N/√(4 · 0.02 s) behind it, the paper's noisiest axis 0.11 °/s.
+/// noise of N has N/√(4 · 0.02 s) behind it, the paper's noisiest axis 0.11 °/s. A steady turn by ω moves the
+/// specific force by gω a second and it goes ahead of its mean by gω · 0.5 s: above 2.3 °/s it is seen, about a
+/// level axis.
 const REST_RATE: f32 = 2.0 * DEGREE;
-const REST_FORCE: f32 = 0.5;
+const REST_FORCE: f32 = 0.2;
 const REST_FAST_S: f32 = 0.02;
 const REST_SLOW_S: f32 = 0.5;
 const REST_FOR_S: f32 = 1.5;
@@ -76,7 +80,7 @@ const REST_BIAS_CHANGE: f32 = 1.0 * DEGREE;
 
 /// The field's parts are means over this, s.
 const FIELD_TAU_S: f32 = 20.0;
-/// A first sample has no time before it, and makes the mean this old all the same.
+/// A first sample has no time before it, and makes the mean this old all the same, s.
 const MIN_AGE_S: f32 = 1.0e-3;
 /// Share of the field's strength by which it may differ from its means.
 const FIELD_TOLERANCE: f32 = 0.1;
@@ -143,7 +147,7 @@ impl RobustFilter {
         }
         let dt_s = if dt_s > 0.0 { min(dt_s, MAX_DT_S) } else { 0.0 };
         if !self.tilt_started {
-            self.start(accel);
+            self.start(gyro, accel);
         } else if dt_s > 0.0 {
             self.turn(gyro, accel, dt_s);
         }
@@ -159,10 +163,11 @@ impl RobustFilter {
 
     /// The shortest rotation that brings −f to the vertical.
     #[cold]
-    fn start(&mut self, f: Vec3<f32>) {
+    fn start(&mut self, gyro: Vec3<f32>, f: Vec3<f32>) {
         if f.dot(f) < MIN_SPECIFIC_FORCE_SQUARED {
             return;
         }
+        self.rest = Rest::from(gyro, f);
         let down = f * (-1.0 / f.norm());
         // (1 + cos, sin · axis), twice the half angle's; upside down any level axis serves.
         let q = Quaternion::new(1.0 + down.z, down.y, -down.x, 0.0);
@@ -177,12 +182,16 @@ impl RobustFilter {
         self.q = self.q * Quaternion::from_rotation_vector(rates * dt_s);
         let [u_north, u_east] = level(self.q.rotate(accel) * (1.0 / STANDARD_GRAVITY));
 
-        // While the filter is younger than τ its age takes the place of τ.
-        let tau_s = min(self.params.tilt_tau_s, self.tilt_age_s + 2.0 * dt_s);
-        let settled = self.tilt_age_s >= self.params.tilt_tau_s;
-        if !settled {
+        // While the filter is younger than τ, age²/τ takes the place of τ: a bias that nobody knows yet turns
+        // it for a fifth of its age at most, not for all of it, and the noise is a mean of that long all the same.
+        let tau_s = self.params.tilt_tau_s;
+        let settled = self.tilt_settled();
+        let tau_s = if settled {
+            tau_s
+        } else {
             self.tilt_age_s += dt_s;
-        }
+            min(tau_s, self.tilt_age_s * self.tilt_age_s / tau_s + 2.0 * dt_s)
+        };
         let share = dt_s / (0.5 * tau_s + dt_s);
         let [north, east] = &mut self.lean;
         *north += share * (u_north - *north);
@@ -200,6 +209,11 @@ impl RobustFilter {
             let d = self.down;
             self.learn(back, vec3(1.0, 1.0, 1.0) - d.scale_by(d), dt_s);
         }
+    }
+
+    #[inline(always)]
+    fn tilt_settled(&self) -> bool {
+        self.tilt_age_s >= self.params.tilt_tau_s
     }
 
     /// At rest the gyroscope reads the bias.
@@ -247,7 +261,10 @@ impl RobustFilter {
         if level_squared < MIN_HORIZONTAL_FIELD_SQUARED {
             return;
         }
-        let Some((level_excess, vertical_excess)) = self.north.excess(sqrt(level_squared), field.z, dt_s)
+        // While the tilt settles it moves the field's parts: nothing strange.
+        let tolerance = if self.tilt_settled() { FIELD_TOLERANCE } else { f32::INFINITY };
+        let Some((level_excess, vertical_excess)) =
+            self.north.excess(sqrt(level_squared), field.z, tolerance, dt_s)
         else {
             return;
         };
@@ -257,7 +274,7 @@ impl RobustFilter {
         // The first sample sets the heading.
         let share = if self.north.age_s > 0.0 { dt_s / (self.north.age_s + dt_s) } else { 1.0 };
         if !settled {
-            self.north.age_s += max(dt_s, MIN_AGE_S);
+            self.north.age_s = max(self.north.age_s + dt_s, MIN_AGE_S);
         }
         let back = -share * excess;
         self.q = Quaternion::from_rotation_vector(vec3(0.0, 0.0, back)) * self.q;
@@ -340,6 +357,10 @@ struct Rest {
 }
 
 impl Rest {
+    fn from(gyro: Vec3<f32>, accel: Vec3<f32>) -> Self {
+        Self { fast_gyro: gyro, fast_accel: accel, slow_gyro: gyro, slow_accel: accel, still_s: 0.0 }
+    }
+
     #[inline(always)]
     fn lasts(&mut self, gyro: Vec3<f32>, accel: Vec3<f32>, dt_s: f32) -> bool {
         let (fast, slow) = (dt_s / (REST_FAST_S + dt_s), dt_s / (REST_SLOW_S + dt_s));
@@ -382,11 +403,10 @@ impl North {
     /// By how much a field's level and vertical parts exceed their means, µT; `None` for a field that is not
     /// the place's.
     #[inline(always)]
-    fn excess(&mut self, level: f32, vertical: f32, dt_s: f32) -> Option<(f32, f32)> {
-        const TOLERANCE: f32 = FIELD_TOLERANCE * FIELD_TOLERANCE;
+    fn excess(&mut self, level: f32, vertical: f32, tolerance: f32, dt_s: f32) -> Option<(f32, f32)> {
         let off = (level - self.level, vertical - self.vertical);
         let strength = self.level * self.level + self.vertical * self.vertical;
-        let strange = off.0 * off.0 + off.1 * off.1 > TOLERANCE * strength;
+        let strange = off.0 * off.0 + off.1 * off.1 > tolerance * tolerance * strength;
         if self.mean_s > 0.0 && strange {
             self.strange_s += dt_s;
             if self.strange_s < NEW_PLACE_S {
@@ -398,7 +418,7 @@ impl North {
         if self.mean_s == 0.0 {
             (self.level, self.vertical) = (level, vertical);
         }
-        self.mean_s = min(self.mean_s + max(dt_s, MIN_AGE_S), FIELD_TAU_S);
+        self.mean_s = min(max(self.mean_s + dt_s, MIN_AGE_S), FIELD_TAU_S);
         let off = (level - self.level, vertical - self.vertical);
         let share = min(dt_s / self.mean_s, 1.0);
         self.level += share * off.0;

@@ -138,7 +138,7 @@ fn a_start_upside_down_from_the_truth_converges() {
         let (accel, mag) = at_rest(euler(PI, 0.0, 0.0));
         e.update(Vec3::ZERO, accel, Some(mag), 0.0);
         let (accel, mag) = at_rest(Quaternion::IDENTITY);
-        let tau_s = [0.3234, 0.3234, 10.0, 3.5][n];
+        let tau_s = [0.3234, 0.3234, 10.0, 5.0][n];
         let steps = (12.0 * tau_s / 0.01) as u32;
         for _ in 0..steps {
             e.update(Vec3::ZERO, accel, Some(mag), 0.01);
@@ -226,6 +226,11 @@ mod robust {
     use proptest::prelude::*;
 
     const DEGREE: f32 = PI / 180.0;
+    /// τ of the tilt, s.
+    const TAU_S: f32 = match EstimatorParams::ROBUST.method {
+        Method::Robust(RobustParams { tilt_tau_s, .. }) => tilt_tau_s,
+        Method::Complementary { .. } => panic!(),
+    };
 
     fn robust() -> Estimator {
         Estimator::new(&EstimatorParams::ROBUST).unwrap()
@@ -248,24 +253,31 @@ mod robust {
         let bias = vec3(3.0, -2.0, 1.0) * DEGREE;
         for rate_hz in [100.0, 285.7, 1000.0, 8000.0] {
             let mut e = robust();
-            rest(&mut e, bias, 4.0, 1.0 / rate_hz);
+            rest(&mut e, bias, 1.0, 1.0 / rate_hz);
+            // Nothing is known yet, and the tilt is that of the last fifth of a second.
+            assert!(
+                e.gyro_bias() == Vec3::ZERO && tilt(&e) < 0.25 * 3.6 * DEGREE,
+                "{} deg",
+                tilt(&e) / DEGREE
+            );
+            rest(&mut e, bias, 3.0, 1.0 / rate_hz);
             let off = (e.gyro_bias() - bias).norm() / DEGREE;
-            // Known to 3 °/s at first: of an error b rest leaves b/(1 + (3/0.09)² T), after the 1.5 s that it
-            // takes to be believed, and the little that is learnt while it lasts.
-            assert!(off < 0.005, "{rate_hz} Hz: {off} °/s");
+            // Known to 3 °/s at first: of an error b, T s of rest leave b/(1 + (3/0.1)² T). It takes 1.5 s to be
+            // believed, so T = 2.5 s: 3.74/2251 = 0.0017 °/s.
+            assert!((off - 0.0017).abs() < 0.0005, "{rate_hz} Hz: {off} °/s");
             rest(&mut e, bias, 40.0, 1.0 / rate_hz);
             assert!(tilt(&e) < 0.05 * DEGREE && e.heading().abs() < 0.1 * DEGREE, "{rate_hz} Hz: {e:?}");
         }
     }
 
     #[test]
-    fn at_rest_a_change_of_the_bias_is_followed_with_nine_seconds() {
+    fn at_rest_a_change_of_the_bias_is_followed_with_five_seconds() {
         let mut e = robust();
         let step = 0.5 * DEGREE;
         rest(&mut e, Vec3::ZERO, 60.0, 0.005);
         for k in 1..=4_u8 {
-            rest(&mut e, vec3(0.0, step, 0.0), 4.5, 0.005);
-            // REST_NOISE/BIAS_WALK = 9 s.
+            rest(&mut e, vec3(0.0, step, 0.0), 2.5, 0.005);
+            // REST_NOISE/BIAS_WALK = 5 s.
             let left = 1.0 - e.gyro_bias().y / step;
             let expected = (-f64::from(k) * 0.5).exp() as f32;
             assert!((left - expected).abs() < 0.03, "{left} against {expected}");
@@ -283,11 +295,11 @@ mod robust {
             rest(&mut e, vec3(bias, 0.0, 0.0), 0.005, 0.005);
             worst = worst.max(tilt(&e));
         }
-        // θ = β τ, and 4 % (e^−π) of overshoot.
-        assert!(worst > 0.8 * bias * 3.5 && worst < 1.05 * bias * 3.5, "{} s", worst / bias);
+        // θ = β τ (1 − e^(−t/τ) cos(t/τ)), at most 1 + e^(−3π/4)/√2 = 1.067, and a little less because it is learnt.
+        assert!(worst > 0.95 * bias * TAU_S && worst < 1.067 * bias * TAU_S, "{} s", worst / bias);
         rest(&mut e, vec3(bias, 0.0, 0.0), 300.0, 0.005);
         assert!((e.gyro_bias().x / bias - 1.0).abs() < 0.1, "{}", e.gyro_bias().x / bias);
-        assert!(tilt(&e) < 0.1 * bias * 3.5);
+        assert!(tilt(&e) < 0.1 * bias * TAU_S);
     }
 
     #[test]
@@ -303,14 +315,16 @@ mod robust {
                 e.update(Vec3::ZERO, LEVEL + vec3(a, 0.0, 0.0), Some(FIELD), 0.002);
                 worst = worst.max(tilt(&e));
             }
-            let bound = 0.645 * (accel * seconds).abs() / (G * 3.5);
-            assert!(worst <= 1.02 * bound && worst > least * bound, "{accel} {seconds}: {worst}, {bound}");
+            let bound = 0.645 * (accel * seconds).abs() / (G * TAU_S);
+            // 3 % for the bias that it takes it for, for a while.
+            assert!(worst <= 1.03 * bound && worst > least * bound, "{accel} {seconds}: {worst}, {bound}");
         }
     }
 
     #[test]
-    fn there_and_back_leaves_nearly_nothing() {
-        // 3 m/s² for half a second, and back: 0.75 m. A complementary filter with this τ is off by 2.3° in between.
+    fn there_and_back_moves_the_tilt_by_the_way_and_not_by_the_speed() {
+        // 3 m/s² for half a second, and back: 0.75 m. For times ≪ τ it is the slope of the impulse response that
+        // counts, at most 2/τ²: 2 · 0.75 m/(g τ²) = 0.35°. A complementary filter with this τ is off by 1.7° in between.
         let mut e = robust();
         rest(&mut e, Vec3::ZERO, 20.0, 0.002);
         let mut worst = 0.0_f32;
@@ -319,14 +333,40 @@ mod robust {
             e.update(Vec3::ZERO, LEVEL + vec3(0.0, a, 0.0), Some(FIELD), 0.002);
             worst = worst.max(tilt(&e));
         }
-        assert!(worst < 0.4 * DEGREE, "{} deg", worst / DEGREE);
+        let bound = 2.0 * 0.75 / (G * TAU_S * TAU_S);
+        assert!(worst < bound && worst > 0.8 * bound, "{} deg", worst / DEGREE);
+    }
+
+    #[test]
+    fn a_slow_steady_turn_is_no_rest() {
+        for rate_deg_s in [3.0_f32, 6.0, 12.0] {
+            let mut e = robust();
+            let rate = rate_deg_s * DEGREE;
+            for k in 0..10_000_u16 {
+                let q = euler(f32::from(k) * 0.002 * rate, 0.0, 0.0);
+                let (accel, mag) = at_rest(q);
+                e.update(vec3(rate, 0.0, 0.0), accel, Some(mag), if k == 0 { 0.0 } else { 0.002 });
+                assert!(apart(e.attitude(), q) < 0.2 * DEGREE, "{rate_deg_s} °/s after {k}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_start_in_a_gust_does_not_spoil_the_field() {
+        // The first sample has 2 m/s² of wind in it: 11.5° of tilt, and 8 µT between level and vertical.
+        let mut e = robust();
+        e.update(Vec3::ZERO, LEVEL + vec3(0.0, 2.0, 0.0), Some(FIELD), 0.0);
+        assert!(tilt(&e) > 11.0 * DEGREE);
+        rest(&mut e, vec3(0.0, 0.0, 0.02 * DEGREE), 30.0, 0.005);
+        // Had the field been given up for another, the heading would have drifted by 0.6°.
+        assert!(tilt(&e) < 0.1 * DEGREE && e.heading().abs() < 0.3 * DEGREE, "{e:?}");
     }
 
     #[test]
     fn a_magnetic_disturbance_turns_nothing_until_it_is_the_place() {
         let mut e = robust();
         rest(&mut e, Vec3::ZERO, 30.0, 0.01);
-        let other = FIELD + vec3(0.0, 15.0, 0.0);
+        let other = FIELD + vec3(0.0, 15.0, 10.0);
         for _ in 0..5900 {
             e.update(Vec3::ZERO, LEVEL, Some(other), 0.01);
         }
