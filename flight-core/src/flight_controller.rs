@@ -232,8 +232,11 @@ impl FlightController {
             }
         }
         let zero = self.gyro_zero.bias();
-        let taken = if self.estimator.is_a_low_pass() { read } else { (gyro, accel) };
-        self.estimator.update(taken.0 - zero, taken.1, mag, dt_s);
+        if self.estimator.is_a_low_pass() {
+            self.estimator.update(read.0 - zero, read.1, mag, dt_s);
+        } else {
+            self.estimator.update(gyro - zero, accel, mag, dt_s);
+        }
         self.rates = gyro - zero - self.estimator.gyro_bias();
     }
 

@@ -137,7 +137,8 @@ impl RobustFilter {
         }
     }
 
-    #[inline]
+    // A function of its own: inlined into the controller's step it would cost the other filters registers.
+    #[inline(never)]
     pub(super) fn update(&mut self, gyro: Vec3<f32>, accel: Vec3<f32>, mag: Option<Vec3<f32>>, dt_s: f32) {
         // A comparison with what is not a number is false.
         let plausible = gyro.dot(gyro) < MAX_RATE * MAX_RATE
