@@ -10,7 +10,6 @@
 //! | [`EstimatorParams::PAPER`] | Euler angles | τ/(τ + Δt), τ = 0.3233 s: 0.97 at 100 Hz | bench, stand, near hover |
 //! | [`EstimatorParams::PAPER_LITERAL`] | Euler angles | 0.97 at whatever rate the data has | comparison with the paper |
 //! | [`EstimatorParams::FLIGHT`] | quaternion | τ = 10 s | flight |
-//!
 //! | [`EstimatorParams::ROBUST`] | quaternion | see [`RobustFilter`] | flight with a gyroscope that drifts, logs |
 //!
 //! Why `paper` cannot fly: in free flight the accelerometer shows tilt only through drag (without drag it
@@ -26,6 +25,7 @@ pub use euler::EulerFilter;
 pub use quaternion::QuaternionFilter;
 pub use robust::RobustFilter;
 
+use crate::arithmetic::atan2;
 use crate::config::{ConfigError, check};
 use crate::geometry::{Quaternion, Vec3};
 
@@ -250,11 +250,13 @@ impl Estimator {
     /// Heading of the body's x axis, rad, clockwise from true north, in [−π, π].
     #[inline]
     pub fn heading(&self) -> f32 {
-        match self {
-            Self::Euler(f) => f.heading(),
-            Self::Quaternion(f) => f.heading(),
-            Self::Robust(f) => f.heading(),
-        }
+        let q = match self {
+            Self::Euler(f) => return f.heading(),
+            Self::Quaternion(f) => f.attitude(),
+            Self::Robust(f) => f.attitude(),
+        };
+        let [w, x, y, z] = q.to_array();
+        atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
     }
 
     /// The attitude, body to world.

@@ -118,11 +118,6 @@ impl QuaternionFilter {
     }
 
     #[inline(always)]
-    pub(super) fn heading(&self) -> f32 {
-        let [w, x, y, z] = self.q.to_array();
-        atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
-    }
-
     pub(super) fn attitude(&self) -> Quaternion<f32> {
         self.q
     }

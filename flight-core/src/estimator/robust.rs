@@ -19,6 +19,8 @@
 //! a Butterworth low-pass of ω₀ = √2/τ from a/g to θ, and τ of the bias in the end. A jump of speed by Δv moves θ
 //! by no more than the peak of its impulse response, 2/τ · e^(−π/4) sin(π/4) = 0.645/τ: 0.645 Δv/(g τ).
 //!
+//! Where it starts from, age²/τ takes the place of τ until the filter is τ old.
+//!
 //! **Bias.** What it takes in turning back, once the start is over, is the bias in the end. Three scalar
 //! variances P weigh it: the filter is Kalman's for a bias that walks by [`BIAS_WALK`] and is seen through
 //! white noise of [`MOVING_NOISE`], or of [`REST_NOISE`] when the sensor lies still and the gyroscope itself is
@@ -37,7 +39,7 @@ use crate::STANDARD_GRAVITY;
 use crate::arithmetic::{atan2, max, min, sin_cos, sqrt, wrap_pi};
 use crate::geometry::{Quaternion, Vec3, vec3};
 
-/// rad/° .
+/// rad/°.
 const DEGREE: f32 = core::f32::consts::PI / 180.0;
 
 /// Readings beyond these are no readings: 11,000 °/s, 100 g, 200 times the Earth's field. What is within them
@@ -316,11 +318,6 @@ impl RobustFilter {
     }
 
     #[inline(always)]
-    pub(super) fn heading(&self) -> f32 {
-        let [w, x, y, z] = self.q.to_array();
-        atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
-    }
-
     pub(super) fn attitude(&self) -> Quaternion<f32> {
         self.q
     }
