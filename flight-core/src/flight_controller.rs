@@ -9,7 +9,7 @@ use crate::calibration::{Calibration, SensorFields, SensorModel};
 use crate::config::{Config, ConfigError, check};
 use crate::control::Controller;
 use crate::esc::Esc;
-use crate::estimator::{Estimator, EstimatorParams, GyroZero};
+use crate::estimator::{Estimator, GyroZero};
 use crate::geometry::{Quaternion, Vec3};
 use crate::imu_check::ImuCheck;
 use crate::mixer::{Mixer, Saturation, Wrench};
@@ -35,7 +35,6 @@ pub struct FlightController {
     accel_prefilter: Prefilter,
     mag_prefilter: Prefilter,
     gyro_zero: GyroZero,
-    estimator_params: EstimatorParams,
     estimator: Estimator,
     controller: Controller,
     mixer: Mixer,
@@ -96,7 +95,6 @@ impl FlightController {
             accel_prefilter: design(p.imu_rate_hz)?,
             mag_prefilter: design(p.mag_rate_hz)?,
             gyro_zero: GyroZero::default(),
-            estimator_params: p.estimator,
             estimator: Estimator::new(&p.estimator)?,
             controller: Controller::new(&p.control, p.airframe.inertia_kg_m2)?,
             mixer: Mixer::new(&p.airframe)?,
@@ -232,12 +230,13 @@ impl FlightController {
             }
         }
         let zero = self.gyro_zero.bias();
+        self.rates = gyro - zero;
         if self.estimator.is_a_low_pass() {
             self.estimator.update(read.0 - zero, read.1, mag, dt_s);
+            self.rates = self.rates - self.estimator.gyro_bias();
         } else {
-            self.estimator.update(gyro - zero, accel, mag, dt_s);
+            self.estimator.update(self.rates, accel, mag, dt_s);
         }
-        self.rates = gyro - zero - self.estimator.gyro_bias();
     }
 
     /// After a gap in the samples the filters' pasts are no longer theirs.
@@ -247,11 +246,9 @@ impl FlightController {
         self.accel_prefilter.restart();
         self.mag_prefilter.restart();
         self.gyro_zero.interrupt();
-        if let Ok(estimator) = Estimator::new(&self.estimator_params) {
-            self.estimator = estimator;
-            if self.arming.state().flies() {
-                self.estimator.gyro_zeroed();
-            }
+        self.estimator.restart();
+        if self.arming.state().flies() {
+            self.estimator.gyro_zeroed();
         }
     }
 

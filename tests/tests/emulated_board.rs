@@ -72,9 +72,11 @@ fn steps_on_the_host() -> Vec<Words> {
 }
 
 /// The stages that have a budget.
-const STAGES: [&str; 10] = [
+const STAGES: [&str; 12] = [
     "calibration of 3 sensors",
     "9 prefilters",
+    "first sample of 9 prefilters",
+    "8 biquads one by one",
     "estimator paper 9-axis",
     "estimator flight 9-axis",
     "estimator robust 9-axis",
@@ -117,6 +119,13 @@ fn every_estimator_equals_the_host_and_the_chain_stays_within_its_instructions()
         let (inputs, _, most) = counts[stage];
         assert!(inputs >= 1_024, "{stage}: {inputs} inputs");
         tests::budget("instructions", stage, most);
+    }
+    // From the counts of the converters to the pulses of the ESCs, every sensor in every step.
+    for (name, estimator) in
+        [("chain of paper", "estimator paper 9-axis"), ("chain of flight", "estimator flight 9-axis")]
+    {
+        let chain = ["calibration of 3 sensors", "9 prefilters", estimator, "control", "mixer and ESC"];
+        tests::budget("instructions", name, chain.iter().map(|stage| counts[*stage].2).sum());
     }
 }
 

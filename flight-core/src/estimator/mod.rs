@@ -201,6 +201,15 @@ impl Estimator {
         }
     }
 
+    /// Begins again, as new: from the next sample.
+    pub fn restart(&mut self) {
+        match self {
+            Self::Euler(f) => f.restart(),
+            Self::Quaternion(f) => f.restart(),
+            Self::Robust(f) => f.restart(),
+        }
+    }
+
     /// The rates that go in were zeroed at rest just now ([`GyroZero`]): they have no bias left. A filter that
     /// learns a bias looks for rest no more from here on, because the caller knows better: a hover is as still
     /// as a bench, and a slow steady turn reads like a bias.

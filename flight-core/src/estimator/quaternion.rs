@@ -2,20 +2,23 @@
 //! the prediction to the measurement, first in tilt, then in heading.
 
 use super::{MIN_HORIZONTAL_FIELD_SQUARED, MIN_SPECIFIC_FORCE_SQUARED, Weight};
-use crate::arithmetic::{atan2, wrap_pi};
+use crate::arithmetic::{direction, wrap_pi};
 use crate::geometry::{Quaternion, Vec3, vec3};
 
 /// The complementary filter on a quaternion.
 ///
 /// While the filter is younger than τ its age takes the place of τ, which makes the start the plain mean of
 /// the first measurements instead of a τ-long decay of the first sample's noise.
+// As declared, so that attitude and down lie where they do in the robust filter, and who asks for them does not care
+// which of the two it is.
 #[derive(Clone, Copy, Debug)]
+#[repr(C)]
 pub struct QuaternionFilter {
-    weight: Weight,
-    declination_rad: f32,
     q: Quaternion<f32>,
     /// Down in body axes, kept from the last update.
     down: Vec3<f32>,
+    weight: Weight,
+    declination_rad: f32,
     /// Time since the first sample, s, counted up to τ.
     tilt_age_s: f32,
     /// Time since the first magnetometer sample, s, counted up to τ.
@@ -63,7 +66,7 @@ impl QuaternionFilter {
         let predicted = self.q.down();
         let axis = predicted.cross(f); // −f × predicted, times |f|: the axis that turns the body
         let sine = axis.norm();
-        let angle = atan2(sine, -f.dot(predicted));
+        let angle = direction(sine, -f.dot(predicted));
         let share = if self.tilt_started { self.share(self.tilt_age_s, dt_s) } else { 1.0 };
         self.tilt_started = true;
         self.tilt_age_s = self.aged(self.tilt_age_s, dt_s);
@@ -83,7 +86,7 @@ impl QuaternionFilter {
         if field.x * field.x + field.y * field.y < MIN_HORIZONTAL_FIELD_SQUARED {
             return;
         }
-        let excess = wrap_pi(atan2(field.y, field.x) - self.declination_rad);
+        let excess = wrap_pi(direction(field.y, field.x) - self.declination_rad);
         let share = if self.heading_started { self.share(self.heading_age_s, self.mag_dt_s) } else { 1.0 };
         self.heading_started = true;
         self.heading_age_s = self.aged(self.heading_age_s, self.mag_dt_s);
@@ -106,6 +109,10 @@ impl QuaternionFilter {
             Weight::TimeConstant { tau_s } if age_s >= tau_s => age_s,
             _ => age_s + dt_s,
         }
+    }
+
+    pub(super) fn restart(&mut self) {
+        *self = Self::new(self.weight, self.declination_rad);
     }
 
     pub(super) fn started(&self) -> bool {

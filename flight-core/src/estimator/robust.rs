@@ -96,16 +96,18 @@ const OFFSET_RATE: f32 = 0.4;
 const MAX_OFFSET: f32 = 10.0;
 
 /// Quaternion, lean, bias and field; see the module.
+// As declared: see the quaternion filter.
 #[derive(Clone, Copy, Debug)]
+#[repr(C)]
 pub struct RobustFilter {
+    q: Quaternion<f32>,
+    /// Down in body axes, kept from the last update.
+    down: Vec3<f32>,
     params: RobustParams,
     declination_rad: f32,
     /// Sine and cosine of the declination.
     declination_sc: (f32, f32),
     looks_for_rest: bool,
-    q: Quaternion<f32>,
-    /// Down in body axes, kept from the last update.
-    down: Vec3<f32>,
     tilt_started: bool,
     /// Time since the first sample, s, counted up to τ.
     tilt_age_s: f32,
@@ -306,6 +308,10 @@ impl RobustFilter {
         self.variance = vec3(ZEROED, ZEROED, ZEROED);
         self.looks_for_rest = false;
         self.rest.still_s = 0.0;
+    }
+
+    pub(super) fn restart(&mut self) {
+        *self = Self::new(self.params, self.declination_rad);
     }
 
     pub(super) fn started(&self) -> bool {
