@@ -160,7 +160,9 @@ impl EstimatorParams {
 }
 
 /// A running filter.
+// With a number of its own for the kind: hidden in a field of one of them it takes four instructions to read, each time.
 #[derive(Clone, Copy, Debug)]
+#[repr(u32)]
 pub enum Estimator {
     /// In Euler angles.
     Euler(EulerFilter),
