@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 
 use flight_core::ArmState;
-use flight_core::estimator::{EstimatorParams, Weight};
+use flight_core::estimator::{EstimatorParams, Method, RobustParams, Weight};
 
 use super::figures;
 use super::recorder::Recorder;
@@ -152,9 +152,17 @@ fn estimator_text(scene: &Scene) -> String {
         EstimatorParams { declination_rad: params.estimator.declination_rad, ..*preset } == params.estimator
     };
     let name = EstimatorParams::PRESETS.iter().find(|preset| same(preset)).map_or("own", |(name, _)| *name);
-    let weight = match params.estimator.weight {
-        Weight::TimeConstant { tau_s } => format!("τ = {} s", number(f64::from(tau_s), 4, "")),
-        Weight::Fixed { alpha } => format!("α = {}", number(f64::from(alpha), 4, "")),
+    let seconds = |tau_s: f32| number(f64::from(tau_s), 4, " s");
+    let weight = match params.estimator.method {
+        Method::Complementary { weight: Weight::TimeConstant { tau_s }, .. } => {
+            format!("τ = {}", seconds(tau_s))
+        }
+        Method::Complementary { weight: Weight::Fixed { alpha }, .. } => {
+            format!("α = {}", number(f64::from(alpha), 4, ""))
+        }
+        Method::Robust(RobustParams { tilt_tau_s, heading_tau_s }) => {
+            format!("τ = {} (tilt), {} (heading)", seconds(tilt_tau_s), seconds(heading_tau_s))
+        }
     };
     let prefilter =
         params.prefilter_cutoff_hz.map_or("no prefilter".into(), |hz| format!("prefilter {hz} Hz"));
