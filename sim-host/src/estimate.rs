@@ -506,7 +506,7 @@ mod tests {
         let request = Request { estimators: vec!["kalman".into()], ..Request::default() };
         assert_eq!(
             run(&request).unwrap_err().to_string(),
-            "--estimator = kalman: must be one of paper, paper-literal, flight"
+            "--estimator = kalman: must be one of paper, paper-literal, flight, robust"
         );
     }
 }
