@@ -81,7 +81,7 @@ fn cases() -> Vec<Case> {
             "an unknown estimator",
             "estimator = \"flight\"",
             "estimator = \"fligth\"",
-            "bad.toml: flight.estimator = fligth: must be one of paper, paper-literal, flight (did you mean `flight`?)",
+            "bad.toml: flight.estimator = fligth: must be one of paper, paper-literal, flight, robust (did you mean `flight`?)",
         ),
         scene(
             "a number that is none",
