@@ -55,8 +55,7 @@ fn cases() -> Vec<Case> {
             "[effects.gyro.whitenoise]",
             "bad.toml:28: unknown field `whitenoise`, expected one of `vibration`, `bandwidth`, `g_sensitivity`, \
              `misalignment`, `scale_factor`, `temperature`, `constant_bias`, `turn_on_bias`, `bias_step`, \
-             `rate_ramp`, `rate_random_walk`, \
-                 `bias_instability`, `white_noise`, `saturation`, `quantization` (did you mean `white_noise`?)",
+             `rate_ramp`, `rate_random_walk`, `bias_instability`, `white_noise`, `saturation`, `quantization` (did you mean `white_noise`?)",
         ),
         scene(
             "a negative mass",
