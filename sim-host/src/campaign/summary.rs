@@ -94,7 +94,9 @@ impl<'a> Summary<'a> {
         let run = |run: &Run| {
             let mut object = outcome_json(&run.outcome);
             if let Value::Object(object) = &mut object {
+                object.insert("scene".into(), json!(self.campaign.scene));
                 object.insert("seed".into(), json!(self.campaign.seed(run.number)));
+                object.insert("duration_s".into(), json!(self.campaign.duration_s));
                 if !run.drawn.is_empty() {
                     object.insert("drawn".into(), drawn_json(&run.drawn));
                 }

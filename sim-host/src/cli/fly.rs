@@ -1,5 +1,6 @@
 //! The command `fly`.
 
+use std::fmt::Write as _;
 use std::time::Instant;
 
 use serde_json::{Value, json};
@@ -41,9 +42,13 @@ fn one(scene: &Scene, arguments: &FlyArguments) -> Result<Answer, InputError> {
     if let (Some(path), Some(recorder)) = (&arguments.report, &recorder) {
         report::write(path, scene, scene.seed, &outcome, recorder)?;
     }
+    let mut text = describe(scene, &outcome, &verdict(&outcome), wall_s);
+    for (name, value) in scene.of_run(scene.seed).1 {
+        write!(text, "\n  drawn: {name:<33} {value:.6e}").expect("a String takes everything");
+    }
     Ok(Answer {
         json: to_json(scene, scene.seed, &outcome, wall_s),
-        text: describe(scene, &outcome, &verdict(&outcome), wall_s),
+        text,
         failed: u64::from(outcome.crash.is_some()) > arguments.max_failures,
     })
 }

@@ -1,8 +1,8 @@
 //! What a scene says: a TOML file, read, checked, and turned into the parts of a flight.
 //!
 //! A scene names the vehicle, the sensors, the pilot and the effects. **An effect that it does not name is
-//! not built.** Every key that exists is in `file.rs` and `effects.rs`; anything else is an error that names
-//! the nearest one.
+//! not built.** Every key that exists is in `file.rs`, `effects.rs` and `tolerances.rs`; anything else is an error
+//! that names the nearest one.
 
 mod built_in;
 pub(crate) mod check;

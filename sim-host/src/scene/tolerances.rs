@@ -154,26 +154,26 @@ tolerances! {
             lag.tau_down_s = lag.tau_down_s.map(|tau_s| tau_s * factor);
         };
     /// Where the centre of gravity is, on top of the scene's own offset.
-    cg_offset_m: "m", LEVEL, Some(1.0), |_| vec![0.0; 2],
+    cg_offset_m: "m", LEVEL, Some(0.1), |_| vec![0.0; 2],
         |s, drawn| {
             let none = CgOffset { offset_m: [0.0; 3] };
             add(&mut s.effects.vehicle.cg_offset.get_or_insert(none).offset_m, drawn);
         };
     /// Scale factor of the gyroscope, on top of the scene's own.
-    gyro_scale_ppm: "ppm", AXES, Some(5e5), |_| vec![0.0; 3],
+    gyro_scale_ppm: "ppm", AXES, Some(1e5), |_| vec![0.0; 3],
         |s, drawn| {
             let none = ScaleFactor { error_ppm: [0.0; 3] };
             add(&mut s.effects.gyro.scale_factor.get_or_insert(none).error_ppm, drawn);
         };
     /// Scale factor of the accelerometer, on top of the scene's own.
-    accel_scale_ppm: "ppm", AXES, Some(5e5), |_| vec![0.0; 3],
+    accel_scale_ppm: "ppm", AXES, Some(1e5), |_| vec![0.0; 3],
         |s, drawn| {
             let none = ScaleFactor { error_ppm: [0.0; 3] };
             add(&mut s.effects.accel.scale_factor.get_or_insert(none).error_ppm, drawn);
         };
     /// How the chip of gyroscope and accelerometer is turned on the board, on top of the scene's own: one draw for
     /// both.
-    imu_mounting_mrad: "mrad", AXES, Some(200.0), |_| vec![0.0; 3],
+    imu_mounting_mrad: "mrad", AXES, Some(100.0), |_| vec![0.0; 3],
         |s, drawn| {
             for misalignment in [&mut s.effects.gyro.misalignment, &mut s.effects.accel.misalignment] {
                 let none = Misalignment { mounting_mrad: [0.0; 3], non_orthogonality_mrad: [0.0; 3] };
@@ -181,7 +181,7 @@ tolerances! {
             }
         };
     /// Hard iron that has come since the calibration, on top of the scene's own.
-    mag_hard_iron_ut: "µT", AXES, Some(1e4), |_| vec![0.0; 3],
+    mag_hard_iron_ut: "µT", AXES, Some(1e3), |_| vec![0.0; 3],
         |s, drawn| {
             let none = HardIron { field_ut: [0.0; 3] };
             add(&mut s.effects.mag.hard_iron.get_or_insert(none).field_ut, drawn);
