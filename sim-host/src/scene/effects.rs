@@ -28,7 +28,7 @@ macro_rules! effect_table {
         #[derive(Clone, Debug, Default, Deserialize)]
         #[serde(deny_unknown_fields)]
         pub struct $table {
-            $($key: Option<$recipe>,)+
+            $(pub(super) $key: Option<$recipe>,)+
         }
 
         impl $table {
