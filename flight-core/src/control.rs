@@ -178,6 +178,12 @@ impl Controller {
         self.setpoint.throttle
     }
 
+    /// Whether the vehicle is to be at a tilt: in angle mode, once it has taken off.
+    #[inline(always)]
+    pub fn holds_tilt(&self) -> bool {
+        self.flying && matches!(self.setpoint.turn, Turn::To { .. })
+    }
+
     /// Forgets what was wound up: for every step in which the motors are stopped.
     pub fn rest(&mut self, rates: Vec3<f32>, heading: f32) {
         self.integral = Vec3::ZERO;

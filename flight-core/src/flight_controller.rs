@@ -17,6 +17,7 @@ use crate::prefilter::{Biquad, Prefilter};
 use crate::rc::request::SWITCH_OFF_TICKS;
 use crate::rc::{ArmBy, FlightMode, Gesture, Link, Requests, Sticks};
 use crate::sample::{ImuSample, Input, Output, RcFrame};
+use crate::upset::UpsetWatch;
 
 /// Age of the last valid inertial sample at which the sensor counts as lost, µs.
 pub const IMU_LOST_US: u32 = 100_000;
@@ -45,6 +46,7 @@ pub struct FlightController {
     arm_by: ArmBy,
     imu_check: ImuCheck,
     battery: BatteryWatch,
+    upset: UpsetWatch,
     bench: Bench,
     calibrated: bool,
     descent_throttle: f32,
@@ -105,6 +107,7 @@ impl FlightController {
             arm_by: p.arm_by,
             imu_check: ImuCheck::new(p.stuck_check, p.imu_rate_hz),
             battery: BatteryWatch::new(p.min_arm_voltage_v, p.critical_voltage_v),
+            upset: UpsetWatch::new(p.control.max_tilt_rad),
             bench: Bench::new(&p.bench)?,
             calibrated: config.calibration.is_some(),
             descent_throttle: p.descent.throttle,
@@ -146,7 +149,11 @@ impl FlightController {
             self.controller.set_level(self.descent_throttle);
         }
         match self.arming.state() {
-            ArmState::Armed | ArmState::Descent => self.control(dt_us as f32 * 1.0e-6),
+            ArmState::Armed | ArmState::Descent => {
+                let tilt = self.controller.holds_tilt().then(|| self.estimator.down().z);
+                self.upset.update(tilt, dt_us);
+                self.control(dt_us as f32 * 1.0e-6);
+            }
             ArmState::Bench => {
                 self.rest();
                 if let Some((rotor, share)) = self.bench.speed() {
@@ -268,6 +275,7 @@ impl FlightController {
             (Conditions::IMU_STUCK, self.imu_check.stuck()),
             (Conditions::BATTERY_CRITICAL, self.battery.critical()),
             (Conditions::BENCH_LOCK, health.usb),
+            (Conditions::UPSET, self.upset.upset()),
         ];
         if self.arming.state().flies() {
             // The other conditions stand in no row of a flight: `Conditions::IN_FLIGHT`.
@@ -293,6 +301,7 @@ impl FlightController {
     #[inline(always)]
     fn rest(&mut self) {
         self.saturation = Saturation::default();
+        self.upset.update(None, 0);
         self.controller.rest(self.rates, self.estimator.heading());
         self.pulses_us = [self.esc.stop_us(); 4];
     }

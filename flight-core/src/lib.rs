@@ -45,6 +45,7 @@ pub mod mixer;
 pub mod prefilter;
 pub mod rc;
 pub mod sample;
+pub mod upset;
 pub mod watchdog;
 
 pub use arming::{ArmState, MotorPermit};

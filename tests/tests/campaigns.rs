@@ -34,9 +34,10 @@ struct Outside {
     state: ArmState,
 }
 
-/// Outside the envelope. Where the flight controller knows what has failed, its state names it; with a rotor gone, or a
-/// wind that it has no power against, it does not: then the judge of the truth names the crash.
-const OUTSIDE: [Outside; 6] = [
+/// Outside the envelope. Where the flight controller knows what has failed, its state names it; of a wind that it has no
+/// power against it does not know: then the judge of the truth names the crash. With a rotor gone the judge is
+/// quicker, but for one who lets a vehicle fly on its back.
+const OUTSIDE: [Outside; 7] = [
     Outside {
         what: "link lost for good",
         scene: "[scene]\nduration_s = 60.0\n[effects.link.outage]\nat_s = 14.0\nfor_s = 60.0\n",
@@ -66,6 +67,12 @@ const OUTSIDE: [Outside; 6] = [
         scene: "[effects.vehicle.motor_failure]\nrotor = 3\nat_s = 12.0\n",
         crash: Some(Crash::TippedOver),
         state: ArmState::Armed,
+    },
+    Outside {
+        what: "a rotor gone high up, looked at beyond the crash",
+        scene: "[scene]\naerobatic = true\n[pilot]\nheight_m = 15.0\n[effects.vehicle.motor_failure]\nrotor = 3\nat_s = 12.0\n",
+        crash: Some(Crash::HardTouchDown),
+        state: ArmState::Terminated,
     },
     Outside {
         what: "14 m/s of wind, 3.5 N of drag, where 20° of tilt give 2.3 N",

@@ -224,3 +224,24 @@ fn in_rate_mode_the_sticks_command_rates_and_centred_ones_hold_any_tilt() {
     println!("asked {asked:.1} deg/s; held {least:.1} to {most:.1} deg");
     assert!(least > 15.0 && most - least < 4.0, "{least} to {most}");
 }
+
+#[test]
+fn sticks_from_stop_to_stop_are_followed_and_not_taken_for_a_vehicle_that_does_not() {
+    // 45° in roll and in pitch one way, 60° of tilt, and then the other way: 120° apart.
+    let moves: String = (0..8)
+        .map(|k| {
+            let (at_s, side) = (26.0 + 0.6 * f64::from(k), if k % 2 == 0 { 1.0 } else { -1.0 });
+            format!("[[pilot.move]]\nat_s = {at_s}\nfor_s = 0.6\nroll = {side:.1}\npitch = {side:.1}\n")
+        })
+        .collect();
+    let text = format!(
+        "include = \"hover\"\n[scene]\nduration_s = 45.0\n[pilot]\nkind = \"script\"\nbase = \"hold\"\narm_at_s = 3.0\n\
+         take_off_at_s = 5.0\nheight_m = 50.0\nland_before_end_s = 4.0\n{moves}"
+    );
+    let scene = Scene::parse("stops.toml", &text).unwrap();
+    let mut tilt = Tilt::default();
+    let outcome = Flight::new(&scene, scene.seed).run(&mut tilt);
+    let most = |angle: &[f64]| angle.iter().fold(0.0, |most: f64, deg| most.max(deg.abs()));
+    assert!(most(&tilt.roll_deg) > 40.0 && most(&tilt.pitch_deg) > 35.0, "{outcome:?}");
+    assert_eq!((outcome.crash, outcome.final_state), (None, ArmState::Armed), "{outcome:?}");
+}

@@ -123,6 +123,8 @@ pub enum Cause {
     Maintenance,
     /// Flash is not erased any more.
     MaintenanceOver,
+    /// The vehicle does not follow the sticks.
+    Upset,
 }
 
 impl Cause {
@@ -151,6 +153,7 @@ impl Cause {
             Self::BenchExpired => "bench time over",
             Self::Maintenance => "maintenance",
             Self::MaintenanceOver => "maintenance over",
+            Self::Upset => "does not follow",
         }
     }
 }

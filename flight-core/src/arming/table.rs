@@ -46,6 +46,9 @@ bitflags! {
         const WATCHDOG_RESET = 1 << 16;
         /// The present state has lasted as long as it may: `Arming` 0.5 s, `Descent` as configured.
         const TIME_UP = 1 << 17;
+        /// In angle mode the vehicle has been tilted by 20° more than the sticks can ask for, for half a second: a
+        /// rotor is gone, or it lies on its back.
+        const UPSET = 1 << 18;
     }
 }
 
@@ -58,7 +61,8 @@ impl Conditions {
         .union(Self::IMU_STUCK)
         .union(Self::BATTERY_CRITICAL)
         .union(Self::BENCH_LOCK)
-        .union(Self::TIME_UP);
+        .union(Self::TIME_UP)
+        .union(Self::UPSET);
 
     /// Those that hold.
     #[inline(always)]
@@ -153,10 +157,11 @@ pub const ARMING: [Row; 14] = [
 ];
 
 /// The rows of [`ArmState::Armed`].
-pub const ARMED: [Row; 7] = [
+pub const ARMED: [Row; 8] = [
     row(Armed, Conditions::BENCH_LOCK, Terminated, Cause::BenchLock),
     row(Armed, Conditions::IMU_LOST, Terminated, Cause::ImuLost),
     row(Armed, Conditions::IMU_STUCK, Terminated, Cause::ImuStuck),
+    row(Armed, Conditions::UPSET, Terminated, Cause::Upset),
     row(Armed, Conditions::DISARM, Disarmed, Cause::Pilot).unless(Conditions::RC_LOST),
     // Throttle low: on the ground, or as good as there. Nothing may spin up.
     row(Armed, Conditions::RC_LOST, Terminated, Cause::RcLost).unless(Conditions::THROTTLE_UP),
@@ -165,10 +170,11 @@ pub const ARMED: [Row; 7] = [
 ];
 
 /// The rows of [`ArmState::Descent`].
-pub const DESCENT: [Row; 6] = [
+pub const DESCENT: [Row; 7] = [
     row(Descent, Conditions::BENCH_LOCK, Terminated, Cause::BenchLock),
     row(Descent, Conditions::IMU_LOST, Terminated, Cause::ImuLost),
     row(Descent, Conditions::IMU_STUCK, Terminated, Cause::ImuStuck),
+    row(Descent, Conditions::UPSET, Terminated, Cause::Upset),
     row(Descent, Conditions::DISARM, Disarmed, Cause::Pilot).unless(Conditions::RC_LOST),
     // With a pilot on the link, who can land and disarm, there is no limit.
     row(Descent, Conditions::RC_LOST.union(Conditions::TIME_UP), Terminated, Cause::DescentOver),

@@ -29,6 +29,7 @@ fn promised(state: ArmState, now: C) -> Option<(ArmState, Cause)> {
             (C::BENCH_LOCK, Cause::BenchLock),
             (C::IMU_LOST, Cause::ImuLost),
             (C::IMU_STUCK, Cause::ImuStuck),
+            (C::UPSET, Cause::Upset),
         ];
         faults.into_iter().find(|(condition, _)| is(*condition)).map(|(_, cause)| (Terminated, cause))
     };
@@ -125,7 +126,7 @@ fn followed(rows: &[Row], now: C) -> Option<(ArmState, Cause)> {
 
 #[test]
 fn every_state_under_every_combination_of_conditions_does_what_is_promised() {
-    assert_eq!(C::all().bits(), (1 << 18) - 1);
+    assert_eq!(C::all().bits(), (1 << 19) - 1);
     for state in ArmState::ALL {
         for now in every_combination() {
             assert_eq!(followed(rows(state), now), promised(state, now), "{state:?} {now:?}");
@@ -179,6 +180,8 @@ fn what_must_never_happen_does_not() {
             }
             if to.flies() {
                 assert!(!now.intersects(C::BENCH_LOCK | C::IMU_LOST | C::IMU_STUCK), "{state:?} {now:?}");
+                // Who does not fly yet cannot have failed to follow.
+                assert!(!(state.flies() && now.contains(C::UPSET)), "{state:?} {now:?}");
             }
             if to == Maintenance {
                 assert!(!turning(state) && state != Arming);

@@ -1,0 +1,91 @@
+//! Whether the vehicle follows its sticks at all.
+
+use crate::arithmetic::{sin_cos, sqrt};
+
+/// Cosine and sine of 20°.
+const MARGIN: (f32, f32) = (0.939_692_6, 0.342_020_14);
+/// How long it may be beyond, µs.
+const LIMIT_US: u32 = 500_000;
+
+/// Looks at the tilt: in angle mode a vehicle that is tilted by 20° more than both sticks together can ask for, for
+/// half a second, does not follow. Time in which it is nearer to level counts half, backwards: who tumbles comes by
+/// there in each turn.
+///
+/// The error of the tilt would show it sooner, and wrongly: with both sticks from stop to stop, 120° apart, a vehicle
+/// in order is behind for as long as that.
+#[derive(Clone, Copy, Debug)]
+pub struct UpsetWatch {
+    /// Cosine of the tilt that is too much.
+    cos_limit: f32,
+    beyond_us: u32,
+}
+
+impl UpsetWatch {
+    /// For sticks that ask for up to `max_tilt_rad` each.
+    pub fn new(max_tilt_rad: f32) -> Self {
+        // Roll and pitch of φ are a tilt whose cosine is cos² φ.
+        let (_, cos) = sin_cos(max_tilt_rad);
+        let (cos_most, sin_most) = (cos * cos, sqrt(1.0 - cos * cos * (cos * cos)));
+        Self { cos_limit: cos_most * MARGIN.0 - sin_most * MARGIN.1, beyond_us: 0 }
+    }
+
+    /// Takes the cosine of the estimated tilt after `dt_us`; `None` where the sticks ask for no tilt, or nobody flies.
+    #[inline(always)]
+    pub fn update(&mut self, cos_tilt: Option<f32>, dt_us: u32) {
+        self.beyond_us = match cos_tilt {
+            None => 0,
+            Some(cos_tilt) if cos_tilt < self.cos_limit => self.beyond_us.saturating_add(dt_us),
+            Some(_) => self.beyond_us.saturating_sub(dt_us / 2),
+        };
+    }
+
+    /// Whether the vehicle does not follow.
+    #[inline(always)]
+    pub fn upset(&self) -> bool {
+        self.beyond_us > LIMIT_US
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use core::f32::consts::FRAC_PI_4;
+
+    /// When a vehicle with this tilt over time (degrees, s) is found to be upset, s.
+    fn found_after(tilt_deg: impl Fn(f32) -> f32) -> Option<f32> {
+        let mut watch = UpsetWatch::new(FRAC_PI_4);
+        (1..=5_000_u16).map(|k| f32::from(k) * 1.0e-3).find(|&t| {
+            watch.update(Some(tilt_deg(t).to_radians().cos()), 1_000);
+            watch.upset()
+        })
+    }
+
+    #[test]
+    fn who_is_too_far_for_half_a_second_is_upset() {
+        // 45° in roll and in pitch are 60°, and 20° more.
+        assert_eq!(found_after(|_| 79.9), None);
+        for degrees in [80.1, 90.0, 180.0] {
+            let after = found_after(|_| degrees).unwrap();
+            assert!((after - 0.501).abs() < 2.0e-3, "{degrees}: {after}");
+        }
+        // Tumbling at 720 °/s: of each turn 200° are too far, so that 200/360 − ½ · 160/360 = ⅓ of the time counts.
+        let after = found_after(|t| 720.0 * t).unwrap();
+        assert!((1.0..1.6).contains(&after), "{after}");
+    }
+
+    #[test]
+    fn who_flies_rates_is_not_watched() {
+        let mut watch = UpsetWatch::new(FRAC_PI_4);
+        (0..600).for_each(|_| watch.update(Some(-1.0), 1_000));
+        assert!(watch.upset());
+        watch.update(None, 1_000);
+        assert!(!watch.upset());
+    }
+
+    #[test]
+    fn the_largest_tilt_that_may_be_set_leaves_room_for_its_margin() {
+        // 80.2° each are 88.3°.
+        let limit = UpsetWatch::new(1.4).cos_limit.acos().to_degrees();
+        assert!((limit - 108.3).abs() < 0.1, "{limit}");
+    }
+}
