@@ -346,6 +346,21 @@ mod tests {
     }
 
     #[test]
+    fn gives_up_the_throttle_when_the_ground_is_overdue() {
+        let start = at(vec3(0.0, 0.0, -0.05));
+        let plan = Plan { land_before_end_s: Some(20.0), ..PLAN };
+        let mut pilot = Pilot::new(&PilotScript { plan, ..hold() }, 60.0, KNOWLEDGE, &start);
+        // On two feet, 5 cm up. The descent from 2 m begins at 40 s, and asks for the ground from 44 s on.
+        let leaning = at(vec3(0.0, 0.0, -0.1));
+        for (t_s, holds) in [(43.0, true), (47.9, true), (48.1, false), (50.0, false)] {
+            for _ in 0..=REACTION_FRAMES {
+                pilot.frame(t_s, &leaning);
+            }
+            assert_eq!(pilot.frame(t_s, &leaning).channels[0] > LOW_TICKS, holds, "{t_s} s");
+        }
+    }
+
+    #[test]
     fn a_script_takes_the_sticks_it_names() {
         let start = at(Vec3::ZERO);
         let script = vec![Move {

@@ -82,6 +82,25 @@ fn the_printed_command_flies_that_very_run() {
     assert_ne!(runs[0]["drawn"], runs[1]["drawn"]);
 }
 
+#[test]
+fn plan_shows_what_is_drawn_and_what_that_adds() {
+    let directory = with_scene();
+    let output = sim_host(&["plan", "spread.toml", "--json"], directory.path());
+    let plan: Value = serde_json::from_slice(&output.stdout).unwrap();
+    let names = |key: &str| -> Vec<String> {
+        let list = plan[key].as_array().unwrap().iter();
+        list.map(|one| one.as_str().or(one["name"].as_str()).unwrap().to_owned()).collect()
+    };
+    let drawn = ["inertia_kg_m2", "thrust_coefficient_n_s2", "motor_lag_tau_s", "imu_mounting_mrad"];
+    assert_eq!(names("tolerances"), drawn);
+    assert_eq!(plan["tolerances"][1]["drawn"], "normal ±5 %");
+    let (runs, left_out) = (names("effects"), names("left_out"));
+    for effect in ["tolerances.thrust", "gyro.misalignment", "accel.misalignment"] {
+        assert!(runs.iter().any(|name| name == effect), "{effect} is not in {runs:?}");
+    }
+    assert!(runs.iter().all(|name| !left_out.contains(name)), "{left_out:?}");
+}
+
 /// The noise of a run is that of the same seed without tolerances: at rest on the bench nothing else differs.
 #[test]
 fn tolerances_move_no_noise() {

@@ -124,7 +124,7 @@ fn judge(duration_s: f64, length: f64) {
     assert!(watch.time_error_s <= duration_s * f64::EPSILON);
     assert!(watch.truth_norm_error <= 4.0 * f64::EPSILON);
     assert!(watch.estimate_norm_error <= f64::from(f32::EPSILON));
-    // Three times what a day showed. The gravity of a drift in height is the energy's.
+    // Three to four times what a day showed. Energy is height times gravity here.
     let noise = 1.0 / length;
     for (what, drift, bound) in [
         ("height, m", height_m, 2e-6 * noise),

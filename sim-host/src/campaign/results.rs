@@ -131,8 +131,8 @@ pub fn merge(parts: &[PathBuf]) -> Result<(Campaign, Vec<Run>), InputError> {
             let (campaign, ..) = whole.as_ref().expect("a first row has just been read");
             let run = rows.run(campaign)?;
             if let Some((_, of)) = runs.get(&run.number) {
-                let also = if *of == path { "this file, above" } else { &of.display().to_string() };
-                return Err(rows.error(format!("is also in {also}")).field("run").value(run.number));
+                let allowed = format!("has come before, from {}", of.display());
+                return Err(rows.error(allowed).field("run").value(run.number));
             }
             runs.insert(run.number, (run, path));
         }

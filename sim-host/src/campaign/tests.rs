@@ -98,9 +98,9 @@ fn parts_that_do_not_make_a_whole_are_refused() {
     let middle = part("middle.csv", &campaign, &runs[5..6]);
     assert_eq!(said(&[&middle, &last]), "PART: a part is missing: runs 0 to 4 of 10");
     assert_eq!(said(&[&middle]), "PART: a part is missing: runs 0 to 4 of 10, and 4 more");
-    assert_eq!(said(&[&first, &last, &first]), "first.csv:2: run = 0: is also in this file, above");
+    assert_eq!(said(&[&first, &last, &first]), "first.csv:2: run = 0: has come before, from first.csv");
     let again = part("again.csv", &campaign, &runs[3..6]);
-    assert_eq!(said(&[&first, &again, &last]), "again.csv:2: run = 3: is also in first.csv");
+    assert_eq!(said(&[&first, &again, &last]), "again.csv:2: run = 3: has come before, from first.csv");
 
     let foreign = |change: fn(&mut Campaign)| {
         let mut foreign = campaign.clone();

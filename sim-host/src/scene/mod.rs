@@ -306,8 +306,7 @@ impl Scene {
         let with = self.build_at(seed, rate_hz);
         let mut list = self.effects.wind.build(with);
         if let Some(shares) = self.thrust_shares {
-            let name = "tolerances.thrust_coefficient_n_s2";
-            list.push((name, VehicleEffect::Thrust(Box::new(ThrustShares(shares)))));
+            list.push(("tolerances.thrust", VehicleEffect::Thrust(Box::new(ThrustShares(shares)))));
         }
         list.extend(self.effects.vehicle.build(with));
         list
