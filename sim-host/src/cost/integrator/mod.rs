@@ -1,0 +1,177 @@
+//! The study `integrator`: how the vehicle's motion is integrated.
+
+mod elliptic;
+mod methods;
+mod replay;
+mod top;
+
+use super::timing::quickest;
+use super::{Axis, Options, Progress, Setting, Study};
+use crate::attitude_error::AttitudeError;
+use crate::input_error::InputError;
+use crate::vehicle::State;
+
+use methods::{Adaptive, Fixed};
+use replay::Replay;
+use top::Top;
+
+/// Time that a top is followed, s.
+const SECONDS: f64 = 10.0;
+const FLIGHT: &str = "flight of the scene steps";
+
+fn angle(a: &State, b: &State) -> f64 {
+    AttitudeError::between(a.attitude, b.attitude).total_rad
+}
+
+/// The attitude after ten seconds in steps of a fixed length.
+fn followed(top: &Top, method: Fixed, steps: u32) -> State {
+    let h = SECONDS / f64::from(steps);
+    (0..steps).fold(top.at(0.0), |state, k| method.step(top, f64::from(k) * h, &state, h))
+}
+
+fn row(problem: &'static str, series: &str, name: &str, error: f64) -> Setting {
+    Setting {
+        problem,
+        series: series.into(),
+        setting: format!("{series}, {name}"),
+        error: Some(error),
+        error_unit: "rad",
+        ..Setting::default()
+    }
+}
+
+fn on_tops(options: &Options, progress: Progress) -> Vec<Setting> {
+    let steps: &[u32] = if options.quick {
+        &[500, 2_000, 5_000, 10_000]
+    } else {
+        &[500, 1_000, 2_000, 5_000, 10_000, 20_000, 50_000, 100_000]
+    };
+    let tolerances: &[i32] = if options.quick { &[-6, -9, -12] } else { &[-4, -5, -6, -7, -8, -9, -10, -11, -12] };
+    let mut settings = Vec::new();
+    for (k, (problem, top)) in top::tops().into_iter().enumerate() {
+        let (start, end) = (top.at(0.0), top.at(SECONDS));
+        for method in Fixed::ALL {
+            for &steps in steps {
+                let error = angle(&followed(&top, method, steps), &end);
+                let name = format!("{} ms", 1e3 * SECONDS / f64::from(steps));
+                let time = quickest(options, || {
+                    std::hint::black_box(followed(std::hint::black_box(&top), method, steps));
+                });
+                settings.push(Setting {
+                    host_ns: time.map(|ns| ns / SECONDS),
+                    also: vec![("evaluations", f64::from(steps * method.evaluations()) / SECONDS)],
+                    ..row(problem, method.name(), &name, error)
+                });
+            }
+        }
+        for &power in tolerances {
+            let tolerance = libm::pow(10.0, f64::from(power));
+            let run = || Adaptive::Dopri5.integrate(&top, (0.0, SECONDS), &start, tolerance, 0.0);
+            let (state, evaluations) = run();
+            let time = quickest(options, || {
+                std::hint::black_box(run());
+            });
+            settings.push(Setting {
+                host_ns: time.map(|ns| ns / SECONDS),
+                also: vec![("evaluations", f64::from(evaluations) / SECONDS)],
+                ..row(problem, "Dormand-Prince 5(4)", &format!("tolerance 1e{power}"), angle(&state, &end))
+            });
+        }
+        progress(0.2 * (k + 1) as f64);
+    }
+    settings
+}
+
+fn in_flight(options: &Options, progress: Progress) -> Result<Vec<Setting>, InputError> {
+    let replay = Replay::fly()?;
+    let (reference, _) = replay.adaptive(Adaptive::Dop853, 1e-13);
+    let worst = |states: &[State]| states.iter().zip(&reference).map(|(a, b)| angle(a, b)).fold(0.0, f64::max);
+    let seconds = replay.seconds();
+    let mut settings = Vec::new();
+    // 1 ms to 0.1 ms.
+    let fixed: &[u32] = if options.quick { &[1, 2] } else { &[1, 2, 4, 5, 10] };
+    for method in Fixed::ALL {
+        for &steps in fixed {
+            let error = worst(&replay.fixed(method, steps));
+            let time = quickest(options, || {
+                std::hint::black_box(replay.fixed(method, steps));
+            });
+            settings.push(Setting {
+                host_ns: time.map(|ns| ns / seconds),
+                also: vec![("evaluations", 1e3 * f64::from(steps * method.evaluations()))],
+                default: method == Fixed::Rk4 && steps == 1,
+                ..row(FLIGHT, method.name(), &format!("{} ms", 1.0 / f64::from(steps)), error)
+            });
+        }
+        progress(0.6 + 0.1 * settings.len() as f64 / fixed.len() as f64);
+    }
+    for &power in if options.quick { &[-6, -10][..] } else { &[-4, -6, -8, -10, -12][..] } {
+        let run = || replay.adaptive(Adaptive::Dopri5, libm::pow(10.0, f64::from(power)));
+        let (states, evaluations) = run();
+        let time = quickest(options, || {
+            std::hint::black_box(run());
+        });
+        settings.push(Setting {
+            host_ns: time.map(|ns| ns / seconds),
+            also: vec![("evaluations", f64::from(evaluations) / seconds)],
+            ..row(FLIGHT, "Dormand-Prince 5(4)", &format!("tolerance 1e{power}"), worst(&states))
+        });
+    }
+    Ok(settings)
+}
+
+/// Runs the study.
+///
+/// # Errors
+/// The scene that it flies cannot be read.
+pub fn study(options: &Options, progress: Progress) -> Result<Study, InputError> {
+    let mut settings = on_tops(options, progress);
+    settings.extend(in_flight(options, progress)?);
+    Ok(Study {
+        name: "integrator",
+        title: "Integrating the vehicle's motion",
+        about: "The error is the angle between the attitude that a method arrives at and the true one: of a free \
+                asymmetric top after 10 s, and of the vehicle in flight the worst of 16 looks, one a second."
+            .into(),
+        reference: "The top: Jacobi's elliptic functions for the rates, a quadrature for the precession; no \
+                    differential equation is solved. The flight: the commands to the rotors as flown, integrated \
+                    by Dormand-Prince 8(5,3) with a tolerance of 1e-13; RKMK4 with 1/8 ms confirms it to 1e-11 rad."
+            .into(),
+        per: "a simulated second",
+        axis: Axis::Host,
+        settings,
+        remarks: vec![
+            "Below 1e-12 rad no method gets better with shorter steps: that is the rounding of 10 s of f64."
+                .into(),
+            "In flight a step can be no longer than the millisecond between two commands, and an adaptive method \
+             has to begin anew at each of them: what makes it the best for a free body is of no use there."
+                .into(),
+        ],
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The order from the errors of two step lengths, a factor of two apart.
+    fn order(method: Fixed, steps: u32) -> f64 {
+        let mut orders = top::tops().map(|(_, top)| {
+            let error = |steps| angle(&followed(&top, method, steps), &top.at(SECONDS));
+            libm::log2(error(steps) / error(2 * steps))
+        });
+        orders.sort_by(f64::total_cmp);
+        println!("{method:?}: {orders:?}");
+        orders[1]
+    }
+
+    #[test]
+    fn the_orders_are_those_of_the_textbook() {
+        for (method, steps, expected) in
+            [(Fixed::SemiImplicitEuler, 20_000, 1.0), (Fixed::Rk4, 2_000, 4.0), (Fixed::Rkmk4, 2_000, 4.0)]
+        {
+            let order = order(method, steps);
+            assert!((order - expected).abs() < 0.2, "{method:?}: order {order}");
+        }
+    }
+}
