@@ -22,7 +22,7 @@
 //! every periodic task is on time ([`watch`]).
 //!
 //! # Two boards, one set of tasks
-//! The tasks below are the same on the flight board and on QEMU; what differs lies in [`board`]. With the feature
+//! The tasks below are the same in flight, on a desk and on QEMU; what differs lies in [`board`]. With the feature
 //! `bench` the outputs are never driven, and every sample is logged.
 //!
 //! `docs/timing.md` has each task's worst time and what follows from it.
@@ -34,11 +34,11 @@
 mod bench;
 mod board;
 mod clock;
-#[cfg(not(feature = "qemu"))]
+#[cfg(not(feature = "unwired"))]
 mod compass;
 mod fault;
 mod inbox;
-#[cfg(not(feature = "qemu"))]
+#[cfg(not(feature = "unwired"))]
 mod pilot;
 mod sampling;
 mod stm32f405;
@@ -154,7 +154,7 @@ mod app {
             ticks: 0,
             ticked_us: board::now_us(),
         };
-        (Shared { inbox: Inbox::default(), watch: Watch::new() }, local)
+        (Shared { inbox: Inbox::default(), watch: Watch::new(board::now_us()) }, local)
     }
 
     #[idle]

@@ -91,13 +91,13 @@ impl FrameBuffer {
     }
 
     /// For DMA.
-    #[cfg(not(feature = "qemu"))]
+    #[cfg(not(feature = "unwired"))]
     pub fn address(&self) -> u32 {
         self.0.as_ptr() as u32
     }
 
     /// For a board that plays the sensor.
-    #[cfg(feature = "qemu")]
+    #[cfg(feature = "unwired")]
     pub fn write(&self, frame: &Frame) {
         for (word, bytes) in self.0.iter().zip(frame.as_chunks().0) {
             word.store(u32::from_ne_bytes(*bytes), Ordering::Relaxed);

@@ -77,15 +77,11 @@ pub struct Watch {
 }
 
 impl Watch {
-    /// Nobody has checked in yet.
-    pub const fn new() -> Self {
-        let mut allowed_age_us = [0; Task::ALL.len()];
-        let mut n = 0;
-        while n < Task::ALL.len() {
-            allowed_age_us[n] = Task::ALL[n].allowed_age_us();
-            n += 1;
-        }
-        Self { roll: Roll::new(allowed_age_us, 0, GRACE_US), clock: Clock::new(), told: 0 }
+    /// Nobody has checked in yet; it is `now_us`.
+    pub fn new(now_us: u32) -> Self {
+        let allowed_age_us = Task::ALL.map(Task::allowed_age_us);
+        let mut clock = Clock::new();
+        Self { roll: Roll::new(allowed_age_us, clock.at(now_us), GRACE_US), clock, told: 0 }
     }
 
     /// `task` ends a run at `now_us`. Returns whether a person should be told that it was late.

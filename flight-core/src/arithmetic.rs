@@ -7,7 +7,7 @@
 //! | kernel | domain | largest error against f64 (tested) |
 //! |---|---|---|
 //! | [`sin_cos`] | ±π (usable to ±8,192) | 2 ulp |
-//! | [`atan2`] | all finite | 4e-7 rad |
+//! | [`atan2`], [`direction`], [`elevation`] | all finite | 4e-7 rad |
 //! | [`sqrt`] | all | correctly rounded |
 //! | [`wrap_pi`] | ±1,000 rad | 1 ulp of the argument |
 
@@ -89,26 +89,46 @@ pub fn sin_cos(x: f32) -> (f32, f32) {
 }
 
 /// Angle of the point (x, y) from the x axis, rad in [−π, π]; `atan2(0, 0)` is 0.
-///
-/// The ratio of the smaller to the larger coordinate lies in [0, 1], where atan t = t + t³ Q(t²) with Q a
-/// minimax polynomial (Lawson iteration in f64; 1.6e-7 rad in f32). No branch but the one against 0/0.
 #[inline]
 pub fn atan2(y: f32, x: f32) -> f32 {
-    let (ax, ay) = (x.abs(), y.abs());
-    let (low, high) = if ay > ax { (ax, ay) } else { (ay, ax) };
-    if high == 0.0 {
-        return 0.0;
+    if y == 0.0 {
+        // 0 times x: 0, but for a NaN, which stays one.
+        return if x < 0.0 { PI } else { 0.0 * x };
     }
+    direction(y, x)
+}
+
+/// [`atan2`] of a point that is not (0, 0), where it is NaN. No branch.
+#[inline(always)]
+pub fn direction(y: f32, x: f32) -> f32 {
+    let angle = first_quadrant(y.abs(), x.abs());
+    let half_plane = if x < 0.0 { PI - angle } else { angle };
+    if y < 0.0 { -half_plane } else { half_plane }
+}
+
+/// [`atan2`] of a point that is not (0, 0) and not left of the y axis: an angle in [−π/2, π/2].
+#[inline(always)]
+pub fn elevation(y: f32, x: f32) -> f32 {
+    let angle = first_quadrant(y.abs(), x);
+    if y < 0.0 { -angle } else { angle }
+}
+
+/// The angle of a point with no negative coordinate, and not (0, 0).
+///
+/// The ratio of the smaller to the larger coordinate lies in [0, 1], where atan t = t + t³ Q(t²) with Q a
+/// minimax polynomial (Lawson iteration in f64; 1.6e-7 rad in f32).
+#[inline(always)]
+fn first_quadrant(y: f32, x: f32) -> f32 {
+    let steep = y > x;
+    let (low, high) = if steep { (x, y) } else { (y, x) };
     let t = low / high;
     let u = t * t;
     let q = -0.333_324_64
         + u * (0.199_756_09
             + u * (-0.140_503_76
                 + u * (0.099_954_57 + u * (-0.060_609_795 + u * (0.025_035_46 - u * 0.004_909_855)))));
-    let first_octant = t + t * u * q;
-    let first_quadrant = if ay > ax { FRAC_PI_2 - first_octant } else { first_octant };
-    let half_plane = if x < 0.0 { PI - first_quadrant } else { first_quadrant };
-    if y < 0.0 { -half_plane } else { half_plane }
+    let octant = t + t * u * q;
+    if steep { FRAC_PI_2 - octant } else { octant }
 }
 
 /// `x` (rad, |x| ≤ 1,000) less the whole turns nearest to it: an angle in [−π, π].
@@ -164,6 +184,8 @@ mod tests {
             let radius = 10.0_f64.powf(f64::from(i % 13) - 6.0);
             let (y, x) = ((radius * angle.sin()) as f32, (radius * angle.cos()) as f32);
             worst = worst.max((f64::from(atan2(y, x)) - f64::from(y).atan2(f64::from(x))).abs());
+            let right = f64::from(y).atan2(f64::from(x.abs()));
+            worst = worst.max((f64::from(elevation(y, x.abs())) - right).abs());
         }
         assert!(worst <= 4e-7, "{worst}");
     }
@@ -174,6 +196,9 @@ mod tests {
             [(0.0, 0.0, 0.0), (0.0, -1.0, PI), (1.0, 0.0, FRAC_PI_2), (-1.0, 0.0, -FRAC_PI_2)]
         {
             assert_eq!(atan2(y, x), angle, "({y}, {x})");
+        }
+        for (y, x) in [(0.0, f32::NAN), (f32::NAN, 0.0), (f32::NAN, 1.0), (-1.0, f32::NAN)] {
+            assert!(atan2(y, x).is_nan(), "({y}, {x})");
         }
     }
 

@@ -1,18 +1,20 @@
 //! The prefilter: a 2nd-order Butterworth low-pass on every axis (section 3 of the paper: 30 Hz).
 //!
 //! Designed at run time for any cutoff below Nyquist by the bilinear transform with prewarping, and run in
-//! direct form II transposed: five products and four sums a sample, with two states. The first sample sets
+//! direct form II transposed: three products and five sums a sample, with two states. The first sample sets
 //! the states to those of an input that was always there, so a constant input has no transient.
 
 use crate::config::{ConfigError, check};
 use crate::geometry::{Vec3, vec3};
 
-/// Coefficients of one second-order section, with a₀ = 1:
-/// y\[k\] = b₀x\[k\] + b₁x\[k−1\] + b₂x\[k−2\] − a₁y\[k−1\] − a₂y\[k−2\].
-#[derive(Clone, Copy, Debug, PartialEq)]
+/// Coefficients of one second-order low-pass section:
+/// y\[k\] = b₀(x\[k\] + 2x\[k−1\] + x\[k−2\]) − a₁y\[k−1\] − a₂y\[k−2\].
+///
+/// The bilinear transform gives every low-pass both its zeros at half the rate, so b₀ stands for all three.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Biquad {
     /// Feed-forward.
-    pub b: [f32; 3],
+    pub b0: f32,
     /// Feedback: a₁ and a₂.
     pub a: [f32; 2],
 }
@@ -41,73 +43,100 @@ impl Biquad {
         let k2 = k * k;
         let root2_k = core::f64::consts::SQRT_2 * k;
         let d = 1.0 + root2_k + k2;
-        let b0 = (k2 / d) as f32;
         Ok(Self {
-            b: [b0, 2.0 * b0, b0],
+            b0: (k2 / d) as f32,
             a: [(2.0 * (k2 - 1.0) / d) as f32, ((1.0 - root2_k + k2) / d) as f32],
         })
     }
 
     /// Gain at zero frequency, as the rounded coefficients have it: 1 but for rounding.
     fn dc_gain(&self) -> f32 {
-        let [b0, b1, b2] = self.b;
         let [a1, a2] = self.a;
-        (b0 + b1 + b2) / ((1.0 + a1) + a2)
+        4.0 * self.b0 / ((1.0 + a1) + a2)
     }
 }
 
-/// One axis: direct form II transposed.
+/// The state of one axis, in direct form II transposed.
 #[derive(Clone, Copy, Debug, Default)]
-struct Section {
+pub struct Section {
     s1: f32,
     s2: f32,
 }
 
 impl Section {
+    /// Filters one sample.
     #[inline(always)]
-    fn step(&mut self, c: &Biquad, x: f32) -> f32 {
-        let y = c.b[0] * x + self.s1;
-        self.s1 = c.b[1] * x - c.a[0] * y + self.s2;
-        self.s2 = c.b[2] * x - c.a[1] * y;
+    pub fn step(&mut self, c: &Biquad, x: f32) -> f32 {
+        let [a1, a2] = c.a;
+        let fed = c.b0 * x;
+        let y = fed + self.s1;
+        self.s1 = (fed + fed) - a1 * y + self.s2;
+        self.s2 = fed - a2 * y;
         y
     }
 
     /// The state that a constant input `x` leads to.
-    fn settled(c: &Biquad, x: f32) -> Self {
+    pub fn settled(c: &Biquad, x: f32) -> Self {
         let y = c.dc_gain() * x;
-        Self { s1: y - c.b[0] * x, s2: c.b[2] * x - c.a[1] * y }
+        let fed = c.b0 * x;
+        Self { s1: y - fed, s2: fed - c.a[1] * y }
     }
 }
 
 /// The prefilter of one three-axis sensor.
 #[derive(Clone, Copy, Debug)]
 pub struct Prefilter {
-    design: Option<Biquad>,
+    design: Biquad,
     axes: [Section; 3],
-    started: bool,
+    stage: Stage,
+}
+
+/// One field for "is there a filter" and "has it begun", so that a sample asks once.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Stage {
+    Off,
+    Fresh,
+    Running,
 }
 
 impl Prefilter {
     /// A prefilter with the given section; `None` passes everything unchanged.
     pub fn new(design: Option<Biquad>) -> Self {
-        Self { design, axes: [Section::default(); 3], started: false }
+        Self {
+            design: design.unwrap_or_default(),
+            axes: [Section::default(); 3],
+            stage: if design.is_some() { Stage::Fresh } else { Stage::Off },
+        }
     }
 
     /// Filters one sample.
     #[inline(always)]
     pub fn step(&mut self, x: Vec3<f32>) -> Vec3<f32> {
-        let Some(c) = &self.design else { return x };
-        if !self.started {
-            self.started = true;
-            self.axes = <[f32; 3]>::from(x).map(|x| Section::settled(c, x));
+        if self.stage != Stage::Running {
+            if self.stage == Stage::Off {
+                return x;
+            }
+            self.start(x);
         }
+        let c = &self.design;
         let [ax, ay, az] = &mut self.axes;
         vec3(ax.step(c, x.x), ay.step(c, x.y), az.step(c, x.z))
     }
 
+    /// Out of line, so that the states of every other sample stay in memory until they are used: merged with
+    /// it, they cost four instructions more an axis.
+    #[cold]
+    #[inline(never)]
+    fn start(&mut self, x: Vec3<f32>) {
+        self.stage = Stage::Running;
+        self.axes = <[f32; 3]>::from(x).map(|x| Section::settled(&self.design, x));
+    }
+
     /// Forgets the past: the next sample starts without a transient again.
     pub fn restart(&mut self) {
-        self.started = false;
+        if self.stage == Stage::Running {
+            self.stage = Stage::Fresh;
+        }
     }
 }
 
@@ -154,10 +183,11 @@ mod tests {
     fn coefficients_equal_an_independent_design() {
         for (cutoff, rate, b, a) in SCIPY {
             let ours = Biquad::butterworth(cutoff, rate).unwrap();
-            for (ours, theirs) in ours.b.iter().zip(b).chain(ours.a.iter().zip(a)) {
+            let fed = [ours.b0, 2.0 * ours.b0, ours.b0];
+            for (ours, theirs) in fed.into_iter().zip(b).chain(ours.a.into_iter().zip(a)) {
                 // One rounding to f32, plus the rounding of the cutoff to f32.
                 assert!(
-                    (f64::from(*ours) - theirs).abs() <= 1.5e-7 * theirs.abs(),
+                    (f64::from(ours) - theirs).abs() <= 1.5e-7 * theirs.abs(),
                     "{cutoff} Hz at {rate} Hz"
                 );
             }

@@ -9,6 +9,7 @@ pub mod allan;
 pub mod attitude_error;
 pub mod chart;
 pub mod chips;
+pub mod cost;
 pub mod earth_field;
 pub mod effects;
 pub mod estimate;

@@ -1,21 +1,16 @@
-//! Counts the instructions of the chain's stages on QEMU's Cortex-M4F.
+//! Counts the instructions of the chain's stages on QEMU's Cortex-M4F: see the module `gauge`.
 //!
-//! With `-icount shift=2` an instruction takes 4 ns of the emulator's virtual time, and its timer TIM2 counts
-//! nanoseconds, so a difference of two readings is four times the instructions between them. These are
-//! instructions, not cycles: loads from flash, taken branches, divisions and `vsqrt` cost more than one on a
-//! chip. A stage's count has its call in it, as the compiler placed it; a thousand `nop`s calibrate the rest
-//! away.
+//! A stage's count has its call in it, as the compiler placed it.
 //!
 //! A line of output is `icount,<stage>,<inputs>,<instructions in all>,<most for one input>`; one more line for
 //! each preset of the estimator, `attitudes,<preset>,<digest>`, shows that it computes what the host does.
 #![no_std]
 #![no_main]
 
-use core::arch::asm;
+mod gauge;
+
 use core::hint::black_box;
 
-use cortex_m_rt::{ExceptionFrame, exception};
-use cortex_m_semihosting::debug::{self, EXIT_FAILURE, EXIT_SUCCESS};
 use cortex_m_semihosting::hprintln;
 // Nothing is logged, but the linker script of every image of this package asks for a logger.
 use defmt_rtt as _;
@@ -27,13 +22,13 @@ use flight_core::esc::Esc;
 use flight_core::estimator::{Estimator, EstimatorParams};
 use flight_core::geometry::Vec3;
 use flight_core::mixer::{Mixer, Saturation, Wrench};
-use flight_core::prefilter::{Biquad, Prefilter};
+use flight_core::prefilter::{Biquad, Prefilter, Section};
 use flight_core::rc::{CENTRE_TICKS, FlightMode, Sticks};
 use flight_core::sample::RcFrame;
 use flight_core::{ConfigError, FlightController, Input, Output, Params};
+use gauge::{Gauge, Total};
 use panic_semihosting as _;
 use receiver::{Protocol, Receiver};
-use stm32f4xx_hal::pac::{Peripherals, TIM2};
 
 /// Inputs of a stage: the table's first in flight.
 const INPUTS: core::ops::Range<u32> = FLIGHT..FLIGHT + 1_200;
@@ -42,91 +37,16 @@ const DT_S: f32 = PERIOD_US as f32 * 1.0e-6;
 
 #[cortex_m_rt::entry]
 fn main() -> ! {
-    let mut peripherals = Peripherals::take().expect("taken once");
-    start(&mut peripherals.TIM2);
-    let mut gauge = Gauge { timer: peripherals.TIM2, overhead: 0 };
-    gauge.calibrate();
-    kernels(&mut gauge);
-    receivers(&mut gauge);
-    if let Err(error) = stages(&mut gauge).and_then(|()| steps(&mut gauge)).and_then(|()| attitudes()) {
+    let gauge = Gauge::start();
+    kernels(&gauge);
+    receivers(&gauge);
+    if let Err(error) = stages(&gauge).and_then(|()| steps(&gauge)).and_then(|()| attitudes()) {
         panic!("{error}");
     }
-    loop {
-        debug::exit(EXIT_SUCCESS);
-    }
+    gauge::exit()
 }
 
-#[exception]
-unsafe fn HardFault(_frame: &ExceptionFrame) -> ! {
-    loop {
-        debug::exit(EXIT_FAILURE);
-    }
-}
-
-/// Lets TIM2 count nanoseconds. Its period stays 0, with which the emulator's timer never ends one.
-fn start(timer: &mut TIM2) {
-    timer.psc().write(|w| w.psc().set(0));
-    timer.cr1().write(|w| w.cen().set_bit());
-}
-
-/// The counter of instructions.
-struct Gauge {
-    timer: TIM2,
-    /// Instructions that a measurement of nothing reads.
-    overhead: u32,
-}
-
-impl Gauge {
-    /// Instructions that `work` takes.
-    #[inline(always)]
-    fn count<T>(&self, work: impl FnOnce() -> T) -> (T, u32) {
-        let before = self.timer.cnt().read().bits();
-        let result = black_box(work());
-        let after = self.timer.cnt().read().bits();
-        (result, (after.wrapping_sub(before) / 4).wrapping_sub(self.overhead))
-    }
-
-    fn calibrate(&mut self) {
-        self.overhead = self.count(|| ()).1;
-        let mut total = Total::default();
-        for _ in 0..1_024 {
-            // SAFETY: does nothing, a thousand times.
-            total.add(self.count(|| unsafe { asm!(".rept 1000", "nop", ".endr") }).1);
-        }
-        total.print("1000 nops");
-    }
-
-    /// Measures `stage` on each of `inputs`.
-    fn stage<I, O>(&self, name: &str, inputs: impl Iterator<Item = I>, mut stage: impl FnMut(&I) -> O) {
-        let mut total = Total::default();
-        for input in inputs {
-            let input = black_box(input);
-            total.add(self.count(|| stage(black_box(&input))).1);
-        }
-        total.print(name);
-    }
-}
-
-#[derive(Clone, Copy, Default)]
-struct Total {
-    inputs: u32,
-    instructions: u32,
-    most: u32,
-}
-
-impl Total {
-    fn add(&mut self, instructions: u32) {
-        self.inputs += 1;
-        self.instructions += instructions;
-        self.most = self.most.max(instructions);
-    }
-
-    fn print(&self, name: &str) {
-        hprintln!("icount,{},{},{},{}", name, self.inputs, self.instructions, self.most);
-    }
-}
-
-fn kernels(gauge: &mut Gauge) {
+fn kernels(gauge: &Gauge) {
     let angles = || INPUTS.map(|slot| (slot - FLIGHT) as f32 * 5.0e-3 - 3.0);
     gauge.stage("sin_cos", angles(), |x| sin_cos(*x));
     gauge.stage("atan2", angles(), |x| atan2(*x, 1.0 - *x));
@@ -136,7 +56,7 @@ fn kernels(gauge: &mut Gauge) {
 
 /// What `tick` does for each byte of the receiver: centred sticks in both protocols, over and over; and for CRSF
 /// the worst that can come, beginnings of frames that all end with the same byte, and none of which is one.
-fn receivers(gauge: &mut Gauge) {
+fn receivers(gauge: &Gauge) {
     let packed = pack(&[CENTRE_TICKS; 16]);
     let mut crsf = [0; 26];
     crsf[..3].copy_from_slice(&[0xc8, 24, 0x16]);
@@ -226,6 +146,12 @@ impl Front {
     }
 }
 
+/// One axis by itself, called for each sample as other flight stacks call theirs.
+#[inline(never)]
+fn biquad((design, section): &mut (Biquad, Section), x: f32) -> f32 {
+    section.step(design, x)
+}
+
 #[inline(never)]
 fn update_9_axis(estimator: &mut Estimator, r: &Reading) {
     estimator.update(r.gyro, r.accel, Some(r.mag), DT_S);
@@ -252,7 +178,7 @@ fn mix(mixer: &Mixer, esc: &Esc, wrench: &Wrench) -> [f32; 4] {
     Mixer::speeds(squares).map(|speed| esc.pulse_us(speed))
 }
 
-fn stages(gauge: &mut Gauge) -> Result<(), ConfigError> {
+fn stages(gauge: &Gauge) -> Result<(), ConfigError> {
     let params = fixed_input::config().params;
     let mut front = Front::new(&params)?;
 
@@ -262,23 +188,29 @@ fn stages(gauge: &mut Gauge) -> Result<(), ConfigError> {
     });
     gauge.stage("calibration of 3 sensors", counts, |counts| front.apply(counts));
     let sensors = Front::new(&params)?;
-    gauge.stage("9 prefilters", INPUTS.map(|slot| sensors.calibrate(&slot)), |raw| front.filter(raw));
+    // The first sample, which sets the states, is a stage of its own.
+    let raw = || INPUTS.map(|slot| sensors.calibrate(&slot));
+    front.filter(&sensors.calibrate(&FLIGHT));
+    gauge.stage("9 prefilters", raw(), |raw| front.filter(raw));
+    let mut first = Total::default();
+    for raw in raw() {
+        let mut fresh = Front::new(&params)?;
+        first.add(gauge.count(|| fresh.filter(black_box(&raw))).1);
+    }
+    first.print("first sample of 9 prefilters");
+    let mut axis = (Biquad::butterworth(30.0, params.imu_rate_hz)?, Section::default());
+    gauge.stage("8 biquads one by one", raw(), |raw| (0..8).fold(raw.gyro.x, |x, _| biquad(&mut axis, x)));
 
-    for (name, nine, six) in [
-        ("paper", "estimator paper 9-axis", "estimator paper 6-axis"),
-        ("paper-literal", "estimator paper-literal 9-axis", "estimator paper-literal 6-axis"),
-        ("flight", "estimator flight 9-axis", "estimator flight 6-axis"),
-    ] {
-        let preset = EstimatorParams::PRESETS.iter().find(|(preset, _)| *preset == name);
-        let (_, preset) = preset.expect("a preset of flight-core");
-        for (stage, update) in [(nine, update_9_axis as fn(&mut Estimator, &Reading)), (six, update_6_axis)] {
-            let mut estimator = Estimator::new(preset)?;
+    for (name, preset) in EstimatorParams::PRESETS {
+        for (axes, update) in [(9, update_9_axis as fn(&mut Estimator, &Reading)), (6, update_6_axis)] {
+            let mut estimator = Estimator::new(&preset)?;
             let mut front = Front::new(&params)?;
             let readings = INPUTS.map(|slot| {
                 let raw = front.calibrate(&slot);
                 front.filter(&raw)
             });
-            gauge.stage(stage, readings, |r| update(&mut estimator, r));
+            gauge
+                .stage(format_args!("estimator {name} {axes}-axis"), readings, |r| update(&mut estimator, r));
         }
     }
 
@@ -311,7 +243,7 @@ fn step(controller: &mut FlightController, input: &Input) -> Output {
 }
 
 /// The whole chain over the whole table, by what there was to do.
-fn steps(gauge: &mut Gauge) -> Result<(), ConfigError> {
+fn steps(gauge: &Gauge) -> Result<(), ConfigError> {
     let mut controller = FlightController::new(&fixed_input::config())?;
     let [mut all, mut disarmed, mut missing, mut six, mut nine] = [Total::default(); 5];
     for slot in 0..STEPS {

@@ -32,25 +32,26 @@ use flight_core::arming::Event;
 use flight_core::geometry::Quaternion;
 use stm32f4xx_hal::pac::{Interrupt, NVIC_PRIO_BITS};
 
-#[cfg(feature = "qemu")]
-mod qemu;
 #[cfg(feature = "speedybee-f405-v4")]
 mod speedybee_f405_v4;
+#[cfg(feature = "unwired")]
+mod unwired;
 
-#[cfg(feature = "qemu")]
-pub use qemu::*;
 #[cfg(feature = "speedybee-f405-v4")]
 pub use speedybee_f405_v4::*;
+#[cfg(feature = "unwired")]
+pub use unwired::*;
 
-#[cfg(all(feature = "qemu", feature = "speedybee-f405-v4"))]
-compile_error!("one board at a time: build the emulated one with --no-default-features --features qemu");
-#[cfg(not(any(feature = "qemu", feature = "speedybee-f405-v4")))]
-compile_error!("choose a board: speedybee-f405-v4 or qemu");
+#[cfg(all(feature = "unwired", feature = "speedybee-f405-v4"))]
+compile_error!("one board at a time: build the others with --no-default-features --features qemu (or hil)");
+#[cfg(not(any(feature = "unwired", feature = "speedybee-f405-v4")))]
+compile_error!("choose a board: speedybee-f405-v4, qemu or hil");
 
 /// The vector that the flight task is bound to.
 pub const WAKE_FLIGHT: Interrupt = Interrupt::DMA2_STREAM0;
 
-/// RTIC priority (larger is more urgent) of a board's own interrupts. Tasks have this one or a lower one.
+/// RTIC priority (larger is more urgent) of the interrupts that take times. Tasks have this one or a lower one.
+#[cfg(not(feature = "hil"))]
 pub const SENSE_PRIORITY: u8 = 5;
 
 /// Time from one inertial sample to the next, µs: the rate of [`flight_core::Params::default`].
@@ -99,11 +100,11 @@ pub struct Step {
     pub missed_deadlines: u32,
 }
 
-/// Lets one of a board's own interrupts in, at [`SENSE_PRIORITY`].
-fn listen(nvic: &mut NVIC, interrupt: Interrupt) {
-    let level = ((1 << NVIC_PRIO_BITS) - SENSE_PRIORITY) << (8 - NVIC_PRIO_BITS);
-    // SAFETY: the priority is above that of every task that locks anything, so no lock is relied on to keep the
-    // handler out; the handlers share nothing with tasks but atomics.
+/// Lets one of a board's own interrupts in, at this RTIC priority.
+fn listen(nvic: &mut NVIC, interrupt: Interrupt, priority: u8) {
+    let level = ((1 << NVIC_PRIO_BITS) - priority) << (8 - NVIC_PRIO_BITS);
+    // SAFETY: no lock of the tasks is relied on to keep the handler out, or is broken by its coming: the handlers
+    // share nothing with tasks but atomics, and what they keep behind a critical section.
     unsafe {
         nvic.set_priority(interrupt, level);
         NVIC::unmask(interrupt);

@@ -38,7 +38,7 @@ use stm32f4xx_hal::prelude::*;
 use stm32f4xx_hal::rcc::{self, Enable};
 use stm32f4xx_hal::spi::Spi;
 
-use super::{Board, OVERDUE_US, PERIOD_US, Step, WAKE_FLIGHT, listen};
+use super::{Board, OVERDUE_US, PERIOD_US, SENSE_PRIORITY, Step, WAKE_FLIGHT, listen};
 use crate::clock::Clock;
 use crate::pilot::Pilot;
 use crate::sampling;
@@ -152,10 +152,10 @@ pub fn init(mut core: cortex_m::Peripherals, device: pac::Peripherals) -> Board 
     data_ready.make_interrupt_source(&mut device.SYSCFG.constrain(&mut rcc));
     data_ready.trigger_on_edge(&mut exti, Edge::Rising);
     data_ready.enable_interrupt(&mut exti);
-    listen(&mut core.NVIC, Interrupt::EXTI4);
+    listen(&mut core.NVIC, Interrupt::EXTI4, SENSE_PRIORITY);
     expect_sample_by(now_us().wrapping_add(OVERDUE_US));
     tim5().dier().write(|w| w.cc1ie().set_bit());
-    listen(&mut core.NVIC, Interrupt::TIM5);
+    listen(&mut core.NVIC, Interrupt::TIM5, SENSE_PRIORITY);
 
     core.SYST.set_clock_source(SystClkSource::Core);
     core.SYST.set_reload(rcc.clocks.sysclk().raw() / (1_000_000 / PERIOD_US) - 1);

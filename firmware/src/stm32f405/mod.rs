@@ -12,14 +12,14 @@
 //! Registers and their fields are those of ST's RM0090. Which DMA stream and channel serves what is in its
 //! tables 42 and 43, and in `dma/traits/f4.rs` of `stm32f4xx-hal`, which agree.
 
-#[cfg(not(feature = "qemu"))]
+#[cfg(not(feature = "unwired"))]
 pub mod burst;
-#[cfg(not(feature = "qemu"))]
+#[cfg(not(feature = "unwired"))]
 pub mod bus;
 pub mod esc;
-#[cfg(not(feature = "qemu"))]
+#[cfg(not(feature = "unwired"))]
 pub mod port;
-#[cfg(not(feature = "qemu"))]
+#[cfg(not(feature = "unwired"))]
 pub mod reset;
-#[cfg(not(feature = "qemu"))]
+#[cfg(not(feature = "unwired"))]
 pub mod supply;

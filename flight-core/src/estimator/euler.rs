@@ -1,7 +1,7 @@
 //! Eq 18 on roll, pitch and yaw, each by itself, as the paper has it.
 
 use super::{EstimatorParams, MIN_HORIZONTAL_FIELD_SQUARED, MIN_SPECIFIC_FORCE_SQUARED, Weight};
-use crate::arithmetic::{atan2, sin_cos, sqrt, wrap_pi};
+use crate::arithmetic::{atan2, direction, elevation, sin_cos, sqrt, wrap_pi};
 use crate::geometry::{Quaternion, Vec3, vec3};
 
 /// The Euler rates have 1/cos θ in them. Within 0.06° of the vertical it is held at 1/0.001, which keeps a
@@ -48,12 +48,16 @@ impl EulerFilter {
     pub(super) fn update(&mut self, gyro: Vec3<f32>, accel: Vec3<f32>, mag: Option<Vec3<f32>>, dt_s: f32) {
         self.predict(gyro, dt_s);
         self.correct_tilt(accel, dt_s);
+        // The differences are taken the short way round wherever the prediction stands: once around is enough.
+        self.roll = wrap_pi(self.roll);
+        self.pitch = wrap_pi(self.pitch);
         self.roll_sc = sin_cos(self.roll);
         self.pitch_sc = sin_cos(self.pitch);
         self.mag_dt_s += dt_s;
         if let Some(field) = mag {
             self.correct_heading(field);
         }
+        self.yaw = wrap_pi(self.yaw);
     }
 
     /// a\[k\] = o\[k−1\] + Δt · (φ̇, θ̇, ψ̇), with the Euler rates of the body rates at the last attitude.
@@ -64,9 +68,9 @@ impl EulerFilter {
         let cos_pitch =
             if cos_pitch.abs() >= MIN_COS_PITCH { cos_pitch } else { MIN_COS_PITCH.copysign(cos_pitch) };
         let yaw_rate = (gyro.y * sin_roll + gyro.z * cos_roll) / cos_pitch;
-        self.roll = wrap_pi(self.roll + dt_s * (gyro.x + yaw_rate * sin_pitch));
-        self.pitch = wrap_pi(self.pitch + dt_s * (gyro.y * cos_roll - gyro.z * sin_roll));
-        self.yaw = wrap_pi(self.yaw + dt_s * yaw_rate);
+        self.roll += dt_s * (gyro.x + yaw_rate * sin_pitch);
+        self.pitch += dt_s * (gyro.y * cos_roll - gyro.z * sin_roll);
+        self.yaw += dt_s * yaw_rate;
     }
 
     /// o = a + (1 − α)(b − a), the difference taken the short way round, so that ±180° is no edge.
@@ -77,11 +81,11 @@ impl EulerFilter {
             return;
         }
         let roll = atan2(-f.y, -f.z);
-        let pitch = atan2(f.x, sqrt(across));
+        let pitch = elevation(f.x, sqrt(across));
         let share = if self.tilt_started { self.weight.of_measurement(dt_s) } else { 1.0 };
         self.tilt_started = true;
-        self.roll = wrap_pi(self.roll + share * wrap_pi(roll - self.roll));
-        self.pitch = wrap_pi(self.pitch + share * wrap_pi(pitch - self.pitch));
+        self.roll += share * wrap_pi(roll - self.roll);
+        self.pitch += share * wrap_pi(pitch - self.pitch);
     }
 
     /// Heading from the field turned level by roll and pitch, plus the declination.
@@ -94,11 +98,11 @@ impl EulerFilter {
         if forward * forward + right * right < MIN_HORIZONTAL_FIELD_SQUARED {
             return;
         }
-        let yaw = atan2(-right, forward) + self.declination_rad;
+        let yaw = direction(-right, forward) + self.declination_rad;
         let share = if self.heading_started { self.weight.of_measurement(self.mag_dt_s) } else { 1.0 };
         self.heading_started = true;
         self.mag_dt_s = 0.0;
-        self.yaw = wrap_pi(self.yaw + share * wrap_pi(yaw - self.yaw));
+        self.yaw += share * wrap_pi(yaw - self.yaw);
     }
 
     pub(super) fn started(&self) -> bool {
@@ -116,6 +120,11 @@ impl EulerFilter {
     #[inline(always)]
     pub(super) fn heading(&self) -> f32 {
         self.yaw
+    }
+
+    #[cfg(test)]
+    pub(super) fn angles(&self) -> [f32; 3] {
+        [self.roll, self.pitch, self.yaw]
     }
 
     pub(super) fn attitude(&self) -> Quaternion<f32> {

@@ -2,7 +2,7 @@
 //! the prediction to the measurement, first in tilt, then in heading.
 
 use super::{EstimatorParams, MIN_HORIZONTAL_FIELD_SQUARED, MIN_SPECIFIC_FORCE_SQUARED, Weight};
-use crate::arithmetic::{atan2, wrap_pi};
+use crate::arithmetic::{atan2, direction, wrap_pi};
 use crate::geometry::{Quaternion, Vec3, vec3};
 
 /// The complementary filter on a quaternion.
@@ -63,7 +63,7 @@ impl QuaternionFilter {
         let predicted = self.q.down();
         let axis = predicted.cross(f); // −f × predicted, times |f|: the axis that turns the body
         let sine = axis.norm();
-        let angle = atan2(sine, -f.dot(predicted));
+        let angle = direction(sine, -f.dot(predicted));
         let share = if self.tilt_started { self.share(self.tilt_age_s, dt_s) } else { 1.0 };
         self.tilt_started = true;
         self.tilt_age_s = self.aged(self.tilt_age_s, dt_s);
@@ -83,7 +83,7 @@ impl QuaternionFilter {
         if field.x * field.x + field.y * field.y < MIN_HORIZONTAL_FIELD_SQUARED {
             return;
         }
-        let excess = wrap_pi(atan2(field.y, field.x) - self.declination_rad);
+        let excess = wrap_pi(direction(field.y, field.x) - self.declination_rad);
         let share = if self.heading_started { self.share(self.heading_age_s, self.mag_dt_s) } else { 1.0 };
         self.heading_started = true;
         self.heading_age_s = self.aged(self.heading_age_s, self.mag_dt_s);

@@ -31,7 +31,7 @@ use std::rc::Rc;
 use embedded_hal::spi::{ErrorKind, ErrorType, Operation, SpiDevice};
 use flight_core::sample::ImuSample;
 
-use super::{Clock, Fault, Faults, Misuse};
+use super::{Clock, Fault, Misuse, Sampling, Schedule};
 
 const DEVICE_CONFIG: u8 = 0x11;
 const INT_CONFIG: u8 = 0x14;
@@ -108,18 +108,15 @@ impl Icm42688p {
     /// A chip whose supply comes up now.
     pub fn new(clock: &Clock, source: Source) -> Self {
         let mut chip = Chip {
-            clock: clock.clone(),
+            schedule: Schedule::new(clock),
             source,
-            faults: Faults::default(),
             misuse: vec![],
             banks: [[0; 128]; 5],
             bank: 0,
             ready_ns: 0,
-            supply_back_ns: None,
             mode_ns: None,
             gyro_on_ns: None,
             accel_on_ns: None,
-            next_sample_ns: None,
             gyro_held_until_ns: 0,
             gyro_was_fast: false,
             latest: None,
@@ -133,7 +130,7 @@ impl Icm42688p {
 
     /// Lets something be wrong for a time, ns.
     pub fn inject(&self, during: std::ops::Range<u64>, fault: Fault) {
-        self.0.borrow_mut().faults.list.push((during, fault));
+        self.0.borrow_mut().schedule.faults.list.push((during, fault));
     }
 
     /// What the driver did that it must not.
@@ -158,7 +155,7 @@ impl Icm42688p {
 
     /// When the next sample falls due, ns.
     pub fn next_sample_ns(&self) -> Option<u64> {
-        self.now().next_sample_ns
+        self.now().schedule.next_sample_ns
     }
 
     fn now(&self) -> std::cell::RefMut<'_, Chip> {
@@ -179,20 +176,16 @@ enum Frame {
 }
 
 struct Chip {
-    clock: Clock,
+    schedule: Schedule,
     source: Source,
-    faults: Faults,
     misuse: Vec<Misuse>,
     banks: [[u8; 128]; 5],
     bank: u8,
     ready_ns: u64,
-    /// When the supply came back, or will, after its last cut.
-    supply_back_ns: Option<u64>,
     /// When the mode changed last.
     mode_ns: Option<u64>,
     gyro_on_ns: Option<u64>,
     accel_on_ns: Option<u64>,
-    next_sample_ns: Option<u64>,
     gyro_held_until_ns: u64,
     gyro_was_fast: bool,
     latest: Option<ImuSample>,
@@ -202,8 +195,11 @@ struct Chip {
     line: Option<u8>,
 }
 
-impl Chip {
-    /// Everything as after power-up or a reset that happens at this time.
+impl Sampling for Chip {
+    fn schedule(&mut self) -> &mut Schedule {
+        &mut self.schedule
+    }
+
     fn restart(&mut self, at_ns: u64) {
         self.banks = [[0; 128]; 5];
         for (bank, address, value) in RESET_VALUES {
@@ -219,37 +215,22 @@ impl Chip {
         self.mode_ns = None;
         self.gyro_on_ns = None;
         self.accel_on_ns = None;
-        self.next_sample_ns = None;
+        self.schedule.next_sample_ns = None;
         self.gyro_held_until_ns = 0;
         self.gyro_was_fast = false;
         self.latest = None;
     }
 
-    /// Does what fell due.
-    fn catch_up(&mut self) {
-        let now_ns = self.clock.now_ns();
-        if let Some(cut) = self.faults.power_cut(now_ns)
-            && self.supply_back_ns.is_none_or(|back_ns| cut.end > back_ns)
-        {
-            self.sample_until(cut.start);
-            self.restart(cut.end);
-            self.supply_back_ns = Some(cut.end);
-        }
-        self.sample_until(now_ns);
+    // That of the fastest sensor that is on.
+    fn period_ns(&self) -> Option<u64> {
+        let period_ns = |on_ns: Option<u64>, config| {
+            let period_ns = PERIOD_NS[usize::from(self.setting(config) & 0x0f)];
+            (on_ns.is_some() && period_ns > 0).then_some(period_ns)
+        };
+        let gyro_ns = period_ns(self.gyro_on_ns, GYRO_CONFIG0);
+        gyro_ns.into_iter().chain(period_ns(self.accel_on_ns, ACCEL_CONFIG0)).min()
     }
 
-    fn sample_until(&mut self, until_ns: u64) {
-        while let Some(due_ns) = self.next_sample_ns
-            && due_ns <= until_ns
-        {
-            self.next_sample_ns = self.period_ns().map(|period_ns| due_ns + period_ns);
-            if !self.faults.stalled(due_ns) {
-                self.land(due_ns);
-            }
-        }
-    }
-
-    /// Puts the sample of this time into the registers.
     fn land(&mut self, at_ns: u64) {
         let mut sample = (self.source)(at_ns);
         self.hold_gyro(&mut sample, at_ns);
@@ -272,7 +253,9 @@ impl Chip {
             self.latest = Some(sample);
         }
     }
+}
 
+impl Chip {
     /// The adaptive full-scale feature.
     fn hold_gyro(&mut self, sample: &mut ImuSample, at_ns: u64) {
         let fast = sample.gyro.iter().any(|counts| counts.unsigned_abs() > ADAPTIVE_STEP_COUNTS);
@@ -315,20 +298,10 @@ impl Chip {
         self.banks[0][usize::from(address)]
     }
 
-    /// That of the fastest sensor that is on.
-    fn period_ns(&self) -> Option<u64> {
-        let period_ns = |on_ns: Option<u64>, config| {
-            let period_ns = PERIOD_NS[usize::from(self.setting(config) & 0x0f)];
-            (on_ns.is_some() && period_ns > 0).then_some(period_ns)
-        };
-        let gyro_ns = period_ns(self.gyro_on_ns, GYRO_CONFIG0);
-        gyro_ns.into_iter().chain(period_ns(self.accel_on_ns, ACCEL_CONFIG0)).min()
-    }
-
     fn read(&mut self, address: u8) -> u8 {
         let value = match (self.bank, address) {
             (_, REG_BANK_SEL) => self.bank,
-            (0, WHO_AM_I) => self.faults.identity(self.clock.now_ns()).unwrap_or(IDENTITY),
+            (0, WHO_AM_I) => self.schedule.faults.identity(self.schedule.clock.now_ns()).unwrap_or(IDENTITY),
             (bank @ 0..=4, _) => self.banks[usize::from(bank)][usize::from(address)],
             _ => 0,
         };
@@ -339,7 +312,7 @@ impl Chip {
     }
 
     fn write(&mut self, address: u8, value: u8) {
-        let now_ns = self.clock.now_ns();
+        let now_ns = self.schedule.clock.now_ns();
         if self.mode_ns.is_some_and(|mode_ns| now_ns < mode_ns + MODE_CHANGE_NS) {
             self.misuse.push(Misuse::ModeChanging);
         }
@@ -348,7 +321,7 @@ impl Chip {
             return;
         }
         let known = RESET_VALUES.iter().any(|(bank, known, _)| (*bank, *known) == (self.bank, address));
-        if !known || self.faults.is_stuck(now_ns, self.bank, address) {
+        if !known || self.schedule.faults.is_stuck(now_ns, self.bank, address) {
             return;
         }
         let any_time = [DEVICE_CONFIG, PWR_MGMT0, GYRO_CONFIG0, ACCEL_CONFIG0];
@@ -361,7 +334,7 @@ impl Chip {
             (0, DEVICE_CONFIG) if value & 0x01 != 0 => self.restart(now_ns),
             (0, PWR_MGMT0) => self.change_mode(value, now_ns),
             (0, GYRO_CONFIG0 | ACCEL_CONFIG0) if on => {
-                self.next_sample_ns = self.period_ns().map(|period_ns| now_ns + period_ns);
+                self.schedule.next_sample_ns = self.period_ns().map(|period_ns| now_ns + period_ns);
             }
             _ => {}
         }
@@ -379,17 +352,19 @@ impl Chip {
         self.gyro_on_ns = gyro_on_ns;
         self.accel_on_ns = switch(self.accel_on_ns, value & 0b11 == 0b11);
         self.mode_ns = Some(now_ns);
-        self.next_sample_ns = self.period_ns().map(|period_ns| now_ns + period_ns);
+        self.schedule.next_sample_ns = self.period_ns().map(|period_ns| now_ns + period_ns);
     }
 
     /// One byte out, one byte in.
     fn exchange(&mut self, sent: u8) -> u8 {
         self.catch_up();
-        let now_ns = self.clock.now_ns();
+        let now_ns = self.schedule.clock.now_ns();
         let ready = now_ns >= self.ready_ns;
         // Who does not know of a cut of the supply cannot wait for its end.
-        let knows =
-            self.supply_back_ns.is_none_or(|back_ns| self.ready_ns != back_ns.saturating_add(READY_NS));
+        let knows = self
+            .schedule
+            .supply_back_ns
+            .is_none_or(|back_ns| self.ready_ns != back_ns.saturating_add(READY_NS));
         if !ready && knows && matches!(self.frame, Frame::Address) {
             self.misuse.push(Misuse::NotReady);
         }
@@ -411,7 +386,7 @@ impl Chip {
             }
             Frame::Written => Frame::Written,
         };
-        self.clock.advance_ns(BYTE_NS);
+        self.schedule.clock.advance_ns(BYTE_NS);
         self.line.unwrap_or(answer)
     }
 }
@@ -423,11 +398,11 @@ impl ErrorType for Icm42688p {
 impl SpiDevice for Icm42688p {
     fn transaction(&mut self, operations: &mut [Operation<'_, u8>]) -> Result<(), ErrorKind> {
         let mut chip = self.now();
-        let now_ns = chip.clock.now_ns();
-        if chip.faults.next_transaction_fails(now_ns) {
+        let now_ns = chip.schedule.clock.now_ns();
+        if chip.schedule.faults.next_transaction_fails(now_ns) {
             return Err(ErrorKind::Other);
         }
-        chip.line = chip.faults.no_answer(now_ns);
+        chip.line = chip.schedule.faults.no_answer(now_ns);
         chip.frame = Frame::Address;
         for operation in operations {
             match operation {
@@ -446,7 +421,7 @@ impl SpiDevice for Icm42688p {
                 Operation::TransferInPlace(bytes) => {
                     bytes.iter_mut().for_each(|byte| *byte = chip.exchange(*byte));
                 }
-                Operation::DelayNs(ns) => chip.clock.advance_ns(u64::from(*ns)),
+                Operation::DelayNs(ns) => chip.schedule.clock.advance_ns(u64::from(*ns)),
             }
         }
         Ok(())

@@ -130,3 +130,57 @@ impl Faults {
         cuts.map(|(during, _)| during.clone()).max_by_key(|during| during.end)
     }
 }
+
+/// When a chip samples, and what is wrong with it.
+struct Schedule {
+    clock: Clock,
+    faults: Faults,
+    /// When the supply came back, or will, after its last cut.
+    supply_back_ns: Option<u64>,
+    next_sample_ns: Option<u64>,
+}
+
+impl Schedule {
+    fn new(clock: &Clock) -> Self {
+        Self { clock: clock.clone(), faults: Faults::default(), supply_back_ns: None, next_sample_ns: None }
+    }
+}
+
+/// What every chip here does alike: it takes samples as they fall due, and starts anew when its supply comes back.
+trait Sampling {
+    fn schedule(&mut self) -> &mut Schedule;
+
+    /// Everything as after power-up or a reset that happens at this time.
+    fn restart(&mut self, at_ns: u64);
+
+    /// From one sample to the next, as it is set up.
+    fn period_ns(&self) -> Option<u64>;
+
+    /// Puts the sample of this time into the registers.
+    fn land(&mut self, at_ns: u64);
+
+    /// Does what fell due.
+    fn catch_up(&mut self) {
+        let Schedule { clock, faults, supply_back_ns, .. } = self.schedule();
+        let now_ns = clock.now_ns();
+        if let Some(cut) = faults.power_cut(now_ns)
+            && supply_back_ns.is_none_or(|back_ns| cut.end > back_ns)
+        {
+            *supply_back_ns = Some(cut.end);
+            self.sample_until(cut.start);
+            self.restart(cut.end);
+        }
+        self.sample_until(now_ns);
+    }
+
+    fn sample_until(&mut self, until_ns: u64) {
+        while let Some(due_ns) = self.schedule().next_sample_ns
+            && due_ns <= until_ns
+        {
+            self.schedule().next_sample_ns = self.period_ns().map(|period_ns| due_ns + period_ns);
+            if !self.schedule().faults.stalled(due_ns) {
+                self.land(due_ns);
+            }
+        }
+    }
+}

@@ -25,7 +25,7 @@ use std::rc::Rc;
 use embedded_hal::i2c::{ErrorKind, ErrorType, I2c, NoAcknowledgeSource, Operation};
 use flight_core::sample::MagSample;
 
-use super::{Clock, Fault, Faults, Misuse};
+use super::{Clock, Fault, Misuse, Sampling, Schedule};
 
 const ADDRESS: u8 = 0x0d;
 const DATA_LAST: u8 = 0x05;
@@ -60,16 +60,13 @@ impl Qmc5883l {
     /// A chip whose supply comes up now.
     pub fn new(clock: &Clock, source: Source) -> Self {
         let mut chip = Chip {
-            clock: clock.clone(),
+            schedule: Schedule::new(clock),
             source,
-            faults: Faults::default(),
             misuse: vec![],
             registers: [0; 14],
             pointer: 0,
             locked: false,
             ready_ns: 0,
-            supply_back_ns: None,
-            next_sample_ns: None,
             latest: None,
             line: None,
         };
@@ -79,7 +76,7 @@ impl Qmc5883l {
 
     /// Lets something be wrong for a time, ns.
     pub fn inject(&self, during: std::ops::Range<u64>, fault: Fault) {
-        self.0.borrow_mut().faults.list.push((during, fault));
+        self.0.borrow_mut().schedule.faults.list.push((during, fault));
     }
 
     /// What the driver did that it must not.
@@ -99,7 +96,7 @@ impl Qmc5883l {
 
     /// When the next sample falls due, ns.
     pub fn next_sample_ns(&self) -> Option<u64> {
-        self.now().next_sample_ns
+        self.now().schedule.next_sample_ns
     }
 
     fn now(&self) -> std::cell::RefMut<'_, Chip> {
@@ -110,60 +107,40 @@ impl Qmc5883l {
 }
 
 struct Chip {
-    clock: Clock,
+    schedule: Schedule,
     source: Source,
-    faults: Faults,
     misuse: Vec<Misuse>,
     registers: [u8; 14],
     pointer: u8,
     /// Data protection: a data register has been read, and the last of them has not.
     locked: bool,
     ready_ns: u64,
-    /// When the supply came back, or will, after its last cut.
-    supply_back_ns: Option<u64>,
-    next_sample_ns: Option<u64>,
     latest: Option<MagSample>,
     /// What the data line reads where the chip does not drive it.
     line: Option<u8>,
 }
 
-impl Chip {
-    /// Everything as after power-up or a reset that happens at this time.
+impl Sampling for Chip {
+    fn schedule(&mut self) -> &mut Schedule {
+        &mut self.schedule
+    }
+
     fn restart(&mut self, at_ns: u64) {
         self.registers = [0; 14];
         self.registers[usize::from(CHIP_ID)] = IDENTITY;
         self.pointer = 0;
         self.locked = false;
         self.ready_ns = at_ns.saturating_add(READY_NS);
-        self.next_sample_ns = None;
+        self.schedule.next_sample_ns = None;
         self.latest = None;
     }
 
-    /// Does what fell due.
-    fn catch_up(&mut self) {
-        let now_ns = self.clock.now_ns();
-        if let Some(cut) = self.faults.power_cut(now_ns)
-            && self.supply_back_ns.is_none_or(|back_ns| cut.end > back_ns)
-        {
-            self.sample_until(cut.start);
-            self.restart(cut.end);
-            self.supply_back_ns = Some(cut.end);
-        }
-        self.sample_until(now_ns);
+    fn period_ns(&self) -> Option<u64> {
+        let control = self.registers[usize::from(CONTROL_1)];
+        (control & 0b11 == 0b01).then(|| PERIOD_NS[usize::from(control >> 2 & 0b11)])
     }
 
-    fn sample_until(&mut self, until_ns: u64) {
-        while let Some(due_ns) = self.next_sample_ns
-            && due_ns <= until_ns
-        {
-            self.next_sample_ns = self.period_ns().map(|period_ns| due_ns + period_ns);
-            if !self.faults.stalled(due_ns) {
-                self.land(due_ns);
-            }
-        }
-    }
-
-    /// Puts the sample of this time into the registers, unless they are being read.
+    // Unless they are being read.
     fn land(&mut self, at_ns: u64) {
         let status = self.registers[usize::from(STATUS)];
         if self.locked {
@@ -183,19 +160,15 @@ impl Chip {
         }
         self.latest = Some(MagSample { counts });
     }
+}
 
-    /// In continuous mode.
-    fn period_ns(&self) -> Option<u64> {
-        let control = self.registers[usize::from(CONTROL_1)];
-        (control & 0b11 == 0b01).then(|| PERIOD_NS[usize::from(control >> 2 & 0b11)])
-    }
-
+impl Chip {
     fn read_next(&mut self) -> u8 {
         self.catch_up();
-        let now_ns = self.clock.now_ns();
+        let now_ns = self.schedule.clock.now_ns();
         let address = self.pointer;
         self.pointer = self.pointer.wrapping_add(1);
-        self.clock.advance_ns(BYTE_NS);
+        self.schedule.clock.advance_ns(BYTE_NS);
         if let Some(reads) = self.line {
             return reads;
         }
@@ -204,7 +177,7 @@ impl Chip {
             return 0xff;
         }
         let value = match address {
-            CHIP_ID => self.faults.identity(now_ns).unwrap_or(IDENTITY),
+            CHIP_ID => self.schedule.faults.identity(now_ns).unwrap_or(IDENTITY),
             _ => self.registers.get(usize::from(address)).copied().unwrap_or(0),
         };
         if address <= DATA_LAST {
@@ -218,20 +191,20 @@ impl Chip {
 
     fn write_next(&mut self, value: u8) {
         self.catch_up();
-        let now_ns = self.clock.now_ns();
+        let now_ns = self.schedule.clock.now_ns();
         let address = self.pointer;
         self.pointer = self.pointer.wrapping_add(1);
-        self.clock.advance_ns(BYTE_NS);
-        if self.faults.is_stuck(now_ns, 0, address) {
+        self.schedule.clock.advance_ns(BYTE_NS);
+        if self.schedule.faults.is_stuck(now_ns, 0, address) {
             return;
         }
         match address {
-            CONTROL_2 if value & SOFT_RST != 0 => self.restart(self.clock.now_ns()),
+            CONTROL_2 if value & SOFT_RST != 0 => self.restart(self.schedule.clock.now_ns()),
             CONTROL_2 => self.registers[usize::from(CONTROL_2)] = value & CONTROL_2_KEPT,
             SET_RESET_PERIOD => self.registers[usize::from(SET_RESET_PERIOD)] = value,
             CONTROL_1 => {
                 self.registers[usize::from(CONTROL_1)] = value;
-                self.next_sample_ns = self.period_ns().map(|period_ns| now_ns + period_ns);
+                self.schedule.next_sample_ns = self.period_ns().map(|period_ns| now_ns + period_ns);
             }
             _ => {}
         }
@@ -239,17 +212,19 @@ impl Chip {
 
     /// Whether the chip acknowledges its address now.
     fn acknowledges(&mut self, address: u8) -> bool {
-        let now_ns = self.clock.now_ns();
-        self.clock.advance_ns(BYTE_NS);
+        let now_ns = self.schedule.clock.now_ns();
+        self.schedule.clock.advance_ns(BYTE_NS);
         let ready = now_ns >= self.ready_ns;
         // Who does not know of a cut of the supply cannot wait for its end.
-        let knows =
-            self.supply_back_ns.is_none_or(|back_ns| self.ready_ns != back_ns.saturating_add(READY_NS));
+        let knows = self
+            .schedule
+            .supply_back_ns
+            .is_none_or(|back_ns| self.ready_ns != back_ns.saturating_add(READY_NS));
         if !ready && knows && address == ADDRESS {
             self.misuse.push(Misuse::NotReady);
         }
-        let fails = self.faults.next_transaction_fails(now_ns);
-        self.line = self.faults.no_answer(now_ns);
+        let fails = self.schedule.faults.next_transaction_fails(now_ns);
+        self.line = self.schedule.faults.no_answer(now_ns);
         match self.line {
             None => ready && address == ADDRESS && !fails,
             // A line that is low acknowledges anything.
@@ -272,13 +247,13 @@ impl I2c for Qmc5883l {
             match operation {
                 Operation::Read(received) => {
                     // The address once more, to turn the direction.
-                    chip.clock.advance_ns(BYTE_NS);
+                    chip.schedule.clock.advance_ns(BYTE_NS);
                     received.fill_with(|| chip.read_next());
                 }
                 Operation::Write(sent) => {
                     if let [first, values @ ..] = sent {
                         chip.pointer = *first;
-                        chip.clock.advance_ns(BYTE_NS);
+                        chip.schedule.clock.advance_ns(BYTE_NS);
                         values.iter().for_each(|value| chip.write_next(*value));
                     }
                 }

@@ -53,8 +53,8 @@ pub enum Axis {
     Host,
     /// [`Setting::m4_instructions`].
     M4,
-    /// One of [`Setting::also`], by its name, and what the plot calls it.
-    Also(&'static str, &'static str),
+    /// One of [`Setting::also`], by its name.
+    Also(&'static str),
 }
 
 /// One setting of a sweep.
@@ -96,7 +96,7 @@ impl Setting {
         match axis {
             Axis::Host => self.host_ns,
             Axis::M4 => self.m4_instructions,
-            Axis::Also(name, _) => self.figure(name),
+            Axis::Also(name) => self.figure(name),
         }
     }
 }
@@ -116,6 +116,8 @@ pub struct Study {
     pub per: &'static str,
     /// What the errors are held against.
     pub axis: Axis,
+    /// The same in words, with its unit.
+    pub axis_title: &'static str,
     /// The settings, problem by problem.
     pub settings: Vec<Setting>,
     /// Where more cost does not buy less error, and why; what was left out.

@@ -67,6 +67,24 @@ pub fn constants(image: &Image, start: u32) -> Vec<u32> {
         .collect()
 }
 
+/// The numbers that the function builds with a `movw` and the next `movt` to the same register: what a compiler writes.
+pub fn pairs(image: &Image, start: u32) -> Vec<u32> {
+    let mut low = BTreeMap::new();
+    let mut numbers = Vec::new();
+    for (decoded, _) in listing(image, start).values() {
+        match decoded.ok().and_then(|decoded| decoded.constant) {
+            Some((register, Half::High, value)) => {
+                numbers.extend(low.get(&register).map(|low| value << 16 | low));
+            }
+            Some((register, _, value)) => {
+                low.insert(register, value);
+            }
+            None => {}
+        }
+    }
+    numbers
+}
+
 /// The analysis of the function at `start`. `returning` holds those that come back: after a call of another,
 /// nothing follows.
 pub fn analyse(image: &Image, start: u32, returning: &BTreeSet<u32>) -> Result<Function, String> {

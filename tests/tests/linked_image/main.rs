@@ -1,7 +1,7 @@
 //! The flight board's image as it was linked: what its interrupt handlers can reach, and how much stack they
 //! take. With the default log level, errors only, and with everything logged, since that is more code.
 //!
-//! Two statements are read off the machine code, and hold for every input:
+//! Three statements are read off the machine code, and hold for every input:
 //!
 //! - **No panic can be reached from the fast loop.** From each handler in [`FAST_LOOP`], all calls are
 //!   followed. None leads to a function of [`PANICS`], none to an undefined instruction, and none goes by a
@@ -11,6 +11,9 @@
 //!   depth of the stack at each instruction; a path must come back with the stack pointer with which it
 //!   began. The deepest path of calls from reset, and from the worst handler of each priority in
 //!   [`HANDLERS`], are added up, with the registers that the processor saves at each interruption.
+//!
+//! - **On a desk the motor pads stay inputs.** In the image that flies at the other end of `sim-host hil --serial` no
+//!   number is an address of their port, or one from which it is reached.
 //!
 //! Whatever is not understood is an error and not skipped: an instruction that writes `sp` or `pc` in a way
 //! that `thumb.rs` does not know, a jump into the middle of a function, a cycle of calls, a vector that is
@@ -157,6 +160,27 @@ fn flash_and_ram_keep_their_budgets() {
     tests::budget("bytes", "static RAM", image.ram_bytes);
 }
 
+/// The addresses of the motor pads' port, GPIOB, and those below from which an instruction's offset (12 bits) reaches it.
+const NEAR_MOTOR_PADS: std::ops::Range<u32> = 0x4002_0400 - 0xfff..0x4002_0428;
+/// The same port bit by bit: the alias of the registers from 0x4000_0000 on.
+const BITS_OF_MOTOR_PADS: std::ops::Range<u32> =
+    0x4200_0000 + 32 * 0x2_0400 - 0xfff..0x4200_0000 + 32 * 0x2_0428;
+
+#[test]
+#[ignore = "builds the firmware for the board"]
+fn on_a_desk_nothing_can_connect_a_motor_pad() {
+    let knows_motor_pads = |image: &Image| {
+        let built = image.functions.keys().flat_map(|&start| function::pairs(image, start));
+        image
+            .data_words()
+            .chain(built)
+            .any(|number| NEAR_MOTOR_PADS.contains(&number) || BITS_OF_MOTOR_PADS.contains(&number))
+    };
+    // After a reset the pads are inputs, and only a register of their port makes them anything else.
+    assert!(!knows_motor_pads(&built_image("info", &["--no-default-features", "--features", "hil"])));
+    assert!(knows_motor_pads(&flight_image("info")));
+}
+
 /// The most stack that reset and the worst nesting of handlers take; prints how it comes about.
 fn stack_bound(image: &Image) -> Result<u32, String> {
     let program = Program::new(image);
@@ -223,10 +247,15 @@ fn flight_images() -> &'static [(&'static str, Image)] {
 }
 
 fn flight_image(log: &str) -> Image {
+    built_image(log, &[])
+}
+
+fn built_image(log: &str, features: &[&str]) -> Image {
     let target = Path::new(env!("CARGO_TARGET_TMPDIR")).join("linked-image");
     let status = Command::new(env::var_os("CARGO").as_deref().unwrap_or(OsStr::new("cargo")))
         .current_dir(Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap())
         .args(["build", "--release", "--package", "firmware", "--target", "thumbv7em-none-eabihf"])
+        .args(features)
         .arg("--target-dir")
         .arg(&target)
         .env("DEFMT_LOG", log)

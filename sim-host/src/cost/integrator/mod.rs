@@ -139,6 +139,7 @@ pub fn study(options: &Options, progress: Progress) -> Result<Study, InputError>
             .into(),
         per: "a simulated second",
         axis: Axis::Host,
+        axis_title: "time on this machine, ns per simulated second",
         settings,
         remarks: vec![
             "Below 1e-12 rad no method gets better with shorter steps: that is the rounding of 10 s of f64."

@@ -1,6 +1,16 @@
 //! Five seconds of fixed input, and a record of what came of it, word by word, in a file on the host. After the
 //! table's last step the emulator exits with status 0; before that, a line `icount,sample to motors,...` says what
 //! the steps cost.
+//!
+//! One timer ticks twice a millisecond, and plays the sensor, the deadline and SysTick:
+//! ```text
+//!  tick          -1    0     1     2     3     4     5     6
+//!  slot                0           1           2           3
+//!  arrives             yes         no          no          yes
+//!  flight wakes        sample            overdue     overdue sample
+//!  SysTick for   0           1           2           3
+//! ```
+//! What the slow tasks bring in the middle of a slot is there for the next one's step.
 
 use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 
@@ -10,12 +20,16 @@ use cortex_m_semihosting::{hprintln, nr, syscall};
 use fixed_input::{STEPS, WORDS_FILE, WORDS_PER_STEP};
 use flight_core::Config;
 use flight_core::sample::{Battery, MagSample, RcFrame};
+use stm32f4xx_hal::pac::{Interrupt, TIM2, interrupt, tim2};
 
-use super::{CAME, TICK_US, play, sample_to_motors, sent};
-use crate::board::{OVERDUE_US, PERIOD_US, Step, WAKE_FLIGHT};
+use super::chip::instructions;
+use super::{CAME, play, sample_to_motors, sent, set_now};
+use crate::board::{OVERDUE_US, PERIOD_US, SENSE_PRIORITY, Step, WAKE_FLIGHT, listen};
 use crate::sampling;
 use crate::watch::{COMPASS_TICKS, SUPPLY_TICKS};
 
+/// Time from one tick to the next, µs.
+const TICK_US: u32 = PERIOD_US / 2;
 /// Ticks of a sample period, and from a sample to the deadline of the next.
 const TICKS_PER_PERIOD: u32 = PERIOD_US / TICK_US;
 const TICKS_TO_OVERDUE: u32 = OVERDUE_US / TICK_US;
@@ -27,10 +41,24 @@ pub fn config() -> Config {
     fixed_input::config()
 }
 
-/// Prepares the first slot.
-pub fn begin() -> bool {
+/// Starts the ticks, and prepares the first slot.
+pub fn begin(nvic: &mut NVIC) -> bool {
+    // 1 GHz down to microseconds. Setting the period starts the alarm; before that, the count must be small.
+    tim2().psc().write(|w| w.psc().set(999));
+    tim2().egr().write(|w| w.ug().set_bit());
+    tim2().arr().write(|w| w.arr().set(TICK_US - 1));
+    tim2().dier().write(|w| w.uie().set_bit());
+    tim2().cr1().write(|w| w.cen().set_bit());
+    listen(nvic, Interrupt::TIM2, SENSE_PRIORITY);
+    // The first tick is the first slot's start. A few microseconds less, so that it is never ahead of the count.
+    set_now(0_u32.wrapping_sub(TICK_US - 5));
     prepare(0);
     false
+}
+
+fn tim2() -> &'static tim2::RegisterBlock {
+    // SAFETY: nobody else uses TIM2.
+    unsafe { &*TIM2::ptr() }
 }
 
 /// Whether the sample of the slot that comes next arrives.
@@ -45,8 +73,11 @@ fn prepare(slot: u32) {
 static TICK: AtomicU32 = AtomicU32::new(0);
 static SAMPLE_TICK: AtomicU32 = AtomicU32::new(0);
 
-/// Half a period has passed, at the instruction `came`.
-pub fn tick(came: u32) {
+/// Half a period has passed.
+#[interrupt]
+fn TIM2() {
+    let came = instructions();
+    tim2().sr().write(|w| w.uif().clear_bit());
     let tick = TICK.fetch_add(1, Ordering::Relaxed);
     assert!(tick < LAST_TICK, "the flight task fell behind the table");
     let at_us = tick * TICK_US;

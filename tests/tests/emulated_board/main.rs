@@ -1,7 +1,21 @@
 //! The firmware on an emulated STM32F405: what it computes, and how many instructions that takes.
 //!
-//! Both tests build the images of QEMU's `netduinoplus2` and run them with `-icount`, which ties the emulator's
+//! The tests build the images of QEMU's `netduinoplus2` and run them with `-icount`, which ties the emulator's
 //! time to executed instructions: every run is the same, on every machine.
+
+mod figures;
+// What each function of an image calls.
+#[path = "../linked_image/function.rs"]
+#[expect(dead_code, reason = "the stack is not looked at here")]
+mod function;
+#[path = "../linked_image/image.rs"]
+#[expect(dead_code, reason = "only functions are looked at here")]
+mod image;
+#[path = "../linked_image/program.rs"]
+#[expect(dead_code, reason = "only calls are looked at here")]
+mod program;
+#[path = "../linked_image/thumb.rs"]
+mod thumb;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::ffi::OsStr;
@@ -21,7 +35,7 @@ type Words = [u32; WORDS_PER_STEP];
 #[ignore = "needs qemu-system-arm"]
 fn five_seconds_on_the_board_equal_the_host_bit_for_bit() {
     let directory = fresh_directory("words");
-    let output = run(&image("firmware"), &directory);
+    let output = run(&board_image("firmware"), &directory);
 
     let name = WORDS_FILE.to_str().unwrap();
     let bytes = fs::read(directory.join(name)).unwrap();
@@ -72,9 +86,11 @@ fn steps_on_the_host() -> Vec<Words> {
 }
 
 /// The stages that have a budget.
-const STAGES: [&str; 9] = [
+const STAGES: [&str; 11] = [
     "calibration of 3 sensors",
     "9 prefilters",
+    "first sample of 9 prefilters",
+    "8 biquads one by one",
     "estimator paper 9-axis",
     "estimator flight 9-axis",
     "control",
@@ -88,7 +104,7 @@ const STAGES: [&str; 9] = [
 #[test]
 #[ignore = "needs qemu-system-arm"]
 fn every_estimator_equals_the_host_and_the_chain_stays_within_its_instructions() {
-    let output = run(&image("icount"), &fresh_directory("icount"));
+    let output = run(&board_image("icount"), &fresh_directory("icount"));
     let mut counts = BTreeMap::new();
     let mut digests = BTreeMap::new();
     println!(
@@ -117,26 +133,45 @@ fn every_estimator_equals_the_host_and_the_chain_stays_within_its_instructions()
         assert!(inputs >= 1_024, "{stage}: {inputs} inputs");
         tests::budget("instructions", stage, most);
     }
+    // From the counts of the converters to the pulses of the ESCs, every sensor in every step.
+    for (name, estimator) in
+        [("chain of paper", "estimator paper 9-axis"), ("chain of flight", "estimator flight 9-axis")]
+    {
+        let chain = ["calibration of 3 sensors", "9 prefilters", estimator, "control", "mixer and ESC"];
+        tests::budget("instructions", name, chain.iter().map(|stage| counts[*stage].2).sum());
+    }
 }
 
-/// Builds the images once, in a target directory of their own: the outer build's is locked.
-fn image(name: &str) -> PathBuf {
+/// The image of this name: builds all of the emulated board's, once.
+fn board_image(name: &str) -> PathBuf {
     static BUILT: OnceLock<PathBuf> = OnceLock::new();
-    let directory = BUILT.get_or_init(|| {
-        let target = Path::new(env!("CARGO_TARGET_TMPDIR")).join("emulated-board");
-        let status = Command::new(env::var_os("CARGO").as_deref().unwrap_or(OsStr::new("cargo")))
-            .current_dir(workspace())
-            .args(["build-qemu", "--target-dir"])
-            .arg(&target)
-            // These would replace the link arguments of .cargo/config.toml.
-            .env_remove("RUSTFLAGS")
-            .env_remove("CARGO_ENCODED_RUSTFLAGS")
-            .status()
-            .expect("cargo runs");
-        assert!(status.success(), "the image does not build");
-        target.join("thumbv7em-none-eabihf/release")
-    });
-    directory.join(name)
+    BUILT.get_or_init(|| build(&["build-qemu"])).join(name)
+}
+
+/// The image that measures what the flight code is compared with, which takes more crates.
+fn alternatives_image() -> PathBuf {
+    let features = ["--no-default-features", "--features", "alternatives", "--bin", "alternatives"];
+    let target = ["--target", "thumbv7em-none-eabihf"];
+    build(&[&["build", "--release", "--package", "firmware"], &target[..], &features].concat())
+        .join("alternatives")
+}
+
+/// Runs cargo, in a target directory of its own since the outer build's is locked, and returns where the images
+/// are.
+fn build(arguments: &[&str]) -> PathBuf {
+    let target = Path::new(env!("CARGO_TARGET_TMPDIR")).join("emulated-board");
+    let status = Command::new(env::var_os("CARGO").as_deref().unwrap_or(OsStr::new("cargo")))
+        .current_dir(workspace())
+        .args(arguments)
+        .arg("--target-dir")
+        .arg(&target)
+        // These would replace the link arguments of .cargo/config.toml.
+        .env_remove("RUSTFLAGS")
+        .env_remove("CARGO_ENCODED_RUSTFLAGS")
+        .status()
+        .expect("cargo runs");
+    assert!(status.success(), "the image does not build");
+    target.join("thumbv7em-none-eabihf/release")
 }
 
 fn workspace() -> &'static Path {

@@ -1,18 +1,24 @@
 //! `sim-host` at the other end of a link: each slot is a frame of it (`hil-link`), and all time is that of the
 //! frames.
 //!
+//! The world turns in an interrupt that has the lowest priority of all and always comes again, so that each turn
+//! begins when every task is done with the one before:
+//!
 //! ```text
-//!  tick, in the middle of a slot     waits for the next frame; the slow tasks take what it brings
-//!  tick, at the slot's start         the frame's time begins; its sample, or its lack of one, wakes `flight`
-//!  `flight`, at its end              the answer
+//!  slot  k                                                      k + 1
+//!        begin: it is the time of frame k;                      begin ...
+//!        its sample, or its lack of one, wakes `flight`
+//!        │ flight: step, pulses, answer
+//!        └───► await: waits for frame k + 1; it is half a millisecond before its time;
+//!              │      wakes `tick`, and that the slow tasks, which take what the frame brings
 //! ```
-//! Who waits for a frame does so in the interrupt, and nothing else runs. A frame that is damaged, or comes again, is
-//! answered with [`ToHost::Bad`] and steps nothing. One that is missing in the sequence is counted; the flight
-//! controller notices it by the time that it did not see.
+//! A frame that is damaged, or comes again, is answered with [`ToHost::Bad`] and steps nothing. One that is missing
+//! in the sequence is counted; the flight controller notices it by the time that it did not see.
 //!
 //! # The watchdog
-//! The emulator has none. Its stand-in has the same second as the real one, by the frames' time, and the same end: a
-//! reset of the chip, by SYSRESETREQ. What has caused it is kept in RAM that no start clears.
+//! The emulator has none, and a real one would bite whenever the host takes its time. Its stand-in has the same second,
+//! by the frames' time, and the same end: a reset of the chip, by SYSRESETREQ. What has caused it is kept in RAM that
+//! no start clears.
 
 use core::cell::{Cell, RefCell};
 use core::mem::MaybeUninit;
@@ -20,20 +26,18 @@ use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 
 use cortex_m::interrupt::{CriticalSection, Mutex, free};
 use cortex_m::peripheral::{NVIC, SCB};
-use cortex_m_semihosting::debug::{self, EXIT_SUCCESS};
 use flight_core::sample::{Battery, MagSample, RcFrame};
 use flight_core::{Config, FlightController};
 use hil_link::{Decoder, Done, MAX_FRAME, Order, Received, Started, ToBoard, ToHost, encode};
+use stm32f4xx_hal::pac::{Interrupt, interrupt};
 
-use super::{BEGAN_US, CAME, now_us, play, sample_to_motors, sent};
-use crate::board::{Step, WAKE_FLIGHT};
+use super::chip::{end, instructions};
+use super::{CAME, now_us, play, sample_to_motors, sent, set_now};
+use crate::board::{PERIOD_US, Step, WAKE_FLIGHT, listen};
 use crate::sampling;
 
-#[cfg(not(feature = "hil-usart"))]
-#[path = "semihosting.rs"]
-mod transport;
-#[cfg(feature = "hil-usart")]
-#[path = "usart.rs"]
+#[cfg_attr(all(feature = "qemu", not(feature = "hil-usart")), path = "semihosting.rs")]
+#[cfg_attr(not(all(feature = "qemu", not(feature = "hil-usart"))), path = "usart.rs")]
 mod transport;
 
 use transport::Transport;
@@ -105,7 +109,7 @@ fn with<T>(cs: &CriticalSection, work: impl FnOnce(&mut Link) -> T) -> T {
 
 /// Says that the board is there, learns what to be, and takes the first frame. Returns whether the watchdog has
 /// brought it here.
-pub fn begin() -> bool {
+pub fn begin(nvic: &mut NVIC) -> bool {
     let watchdog_reset = RESET_MARK.take();
     free(|cs| {
         let mut link = Link {
@@ -129,6 +133,8 @@ pub fn begin() -> bool {
         LINK.borrow(cs).replace(Some(link));
     });
     receive();
+    listen(nvic, TURN, TURN_PRIORITY);
+    NVIC::pend(TURN);
     watchdog_reset
 }
 
@@ -140,24 +146,33 @@ pub fn config() -> Config {
     }
 }
 
+/// The interrupt in which the world turns: one that the chip's floating-point unit raises only if it is asked to, and
+/// nobody does. Of all that have its priority, `compass` among them, it has the highest number, and so comes last.
+const TURN: Interrupt = Interrupt::FPU;
+const TURN_PRIORITY: u8 = 1;
+
 /// The slot that comes next: its time, and whether it has a sample.
 static TIME_US: AtomicU32 = AtomicU32::new(0);
 static SAMPLED: AtomicBool = AtomicBool::new(false);
 /// The slot has begun.
 static BEGUN: AtomicBool = AtomicBool::new(false);
 
-/// Half a period has passed, at the instruction `came`.
-pub fn tick(came: u32) {
+#[interrupt]
+fn FPU() {
+    let came = instructions();
     let begun = BEGUN.load(Ordering::Relaxed);
     BEGUN.store(!begun, Ordering::Relaxed);
+    NVIC::pend(TURN);
     if begun {
         receive();
-        return;
+    } else {
+        begin_slot(came);
     }
+}
+
+fn begin_slot(came: u32) {
     let at_us = TIME_US.load(Ordering::Relaxed);
-    // From here on it is the frame's time.
-    let ahead_us = now_us().wrapping_sub(at_us);
-    BEGAN_US.store(BEGAN_US.load(Ordering::Relaxed).wrapping_add(ahead_us), Ordering::Relaxed);
+    set_now(at_us);
     bite_if_hungry(at_us);
     CAME.store(came, Ordering::Relaxed);
     if SAMPLED.load(Ordering::Relaxed) {
@@ -179,7 +194,10 @@ fn receive() {
                     ToBoard::End => end(),
                 }
             };
-            TIME_US.store(step.time_us as u32, Ordering::Relaxed);
+            let at_us = step.time_us as u32;
+            TIME_US.store(at_us, Ordering::Relaxed);
+            // However long it was waited for: the tasks know no time but that of the frames.
+            set_now(at_us.wrapping_sub(PERIOD_US / 2));
             SAMPLED.store(step.imu.is_some(), Ordering::Relaxed);
             for_the_tasks(cs, step.rc, step.mag, step.battery);
             play(step.imu.unwrap_or_default());
@@ -202,13 +220,6 @@ fn for_the_tasks(
     }
     if battery.is_some() {
         BATTERY.borrow(cs).set(battery);
-    }
-}
-
-/// The flight is over.
-fn end() -> ! {
-    loop {
-        debug::exit(EXIT_SUCCESS);
     }
 }
 

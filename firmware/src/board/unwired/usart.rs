@@ -1,13 +1,21 @@
-//! USART6, as if it went to a serial port of the host.
+//! USART6, to a serial port of the host.
 
 use stm32f4xx_hal::pac::{USART6, usart1::RegisterBlock};
+
+use crate::board::unwired::chip::USART6_HZ;
+
+/// Bits per second: as `sim-host` has it.
+const BAUD: u32 = 921_600;
 
 /// The port.
 pub struct Transport(());
 
 impl Transport {
-    /// Switches it on. The emulator knows no baud rate.
+    /// Switches it on.
     pub fn open() -> Self {
+        let divider = const { (USART6_HZ + BAUD / 2) / BAUD };
+        // SAFETY: the register takes a divider in sixteenths, which with 16 samples a bit is the ratio itself.
+        port().brr().write(|w| unsafe { w.bits(divider as u16) });
         port().cr1().write(|w| w.ue().set_bit().te().set_bit().re().set_bit());
         Self(())
     }
