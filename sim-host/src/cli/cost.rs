@@ -36,8 +36,9 @@ pub fn run(arguments: &CostArguments) -> Result<Answer, InputError> {
     })?;
     bar.finish_and_clear();
     if let Some(directory) = &arguments.csv {
-        std::fs::create_dir_all(directory)
-            .map_err(|error| InputError::new(format!("cannot be made: {error}")).file(directory).field("--csv"))?;
+        std::fs::create_dir_all(directory).map_err(|error| {
+            InputError::new(format!("cannot be made: {error}")).file(directory).field("--csv")
+        })?;
         for study in &studies {
             write(&directory.join(format!("{}.csv", study.name)), &cost::csv(study))?;
             write(&directory.join(format!("{}-timing.csv", study.name)), &cost::timing_csv(study))?;

@@ -163,7 +163,7 @@ pub fn study(options: &Options, progress: Progress) -> Result<Study, InputError>
                 flash_bytes: figure.and_then(|figure| figure.flash_bytes),
                 also: vec![("error_ulp", ulps)],
                 default: *kind == "flight-core",
-                pareto: false,
+                ..Setting::default()
             });
         }
         progress((n + 1) as f64 / PROBLEMS.len() as f64);
@@ -175,7 +175,7 @@ pub fn study(options: &Options, progress: Progress) -> Result<Study, InputError>
                 rad; of the square root in proportion to it. In units of the last place it is large where the \
                 value is near 0, which an attitude does not feel."
             .into(),
-        reference: "Double-double arithmetic (the crate twofloat, 32 digits), itself tested against published \
+        reference: "Double-double arithmetic (the crate twofloat: 22 digits and more), itself tested against published \
                     digits; none of the four computes with it."
             .into(),
         per: "a call",
@@ -208,7 +208,7 @@ mod tests {
             (two(2.0).sqrt(), std::f64::consts::SQRT_2, -9.667_293_313_452_913e-17),
         ] {
             let off = (ours.hi() - digits) + (ours.lo() - rest);
-            assert!(off.abs() < 1e-24, "{ours:?}: {off:e} from {digits} + {rest:e}");
+            assert!(off.abs() < 1e-22, "{ours:?}: {off:e} from {digits} + {rest:e}");
         }
     }
 

@@ -23,7 +23,11 @@ mod table;
 mod timing;
 
 mod arithmetic;
+mod attitude;
+mod estimator;
 mod prefilter;
+mod rates;
+mod sensors;
 
 use std::path::PathBuf;
 
@@ -72,6 +76,8 @@ pub struct Setting {
     pub error_unit: &'static str,
     /// Time on this machine, ns, of what [`Study::per`] says.
     pub host_ns: Option<f64>,
+    /// The part of `host_ns` that this setting adds to the one before it.
+    pub host_ns_added: Option<f64>,
     /// Instructions on the Cortex-M4F for the same.
     pub m4_instructions: Option<f64>,
     /// Bytes of flash on the Cortex-M4F.
@@ -166,10 +172,14 @@ pub type Progress<'a> = &'a dyn Fn(f64);
 type Maker = fn(&Options, Progress) -> Result<Study, InputError>;
 
 /// The studies in order, each with its share of the time, %.
-const STUDIES: [(&str, u64, Maker); 3] = [
+const STUDIES: [(&str, u64, Maker); 7] = [
     ("integrator", 20, integrator::study),
-    ("prefilter", 2, prefilter::study),
+    ("attitude", 10, attitude::study),
+    ("estimator", 15, estimator::study),
+    ("prefilter", 3, prefilter::study),
     ("arithmetic", 5, arithmetic::study),
+    ("rates", 20, rates::study),
+    ("sensors", 30, sensors::study),
 ];
 
 /// The names of the studies, in order.
@@ -219,6 +229,7 @@ pub fn to_json(studies: &[Study]) -> Value {
             "error": s.error,
             "error_unit": s.error_unit,
             "host_ns": s.host_ns,
+            "host_ns_added": s.host_ns_added,
             "m4_instructions": s.m4_instructions,
             "flash_bytes": s.flash_bytes,
             "default": s.default,

@@ -13,11 +13,7 @@ const COLOURS: [&str; 6] =
     [colour::BLUE, colour::VERMILLION, colour::GREEN, colour::ORANGE, colour::PURPLE, colour::SKY];
 
 /// Error against cost of the problems of a study for which `wanted`, with both axes logarithmic.
-pub fn plot(
-    study: &Study,
-    (axis, axis_title): (Axis, &'static str),
-    wanted: impl Fn(&str) -> bool,
-) -> Chart {
+pub fn plot(study: &Study, (axis, axis_title): (Axis, &'static str), wanted: impl Fn(&str) -> bool) -> Chart {
     let problems: Vec<&str> = study.problems().into_iter().filter(|problem| wanted(problem)).collect();
     let panels: Vec<Panel> = problems.iter().map(|problem| panel(study, problem, axis)).collect();
     Chart {
@@ -152,7 +148,8 @@ fn section(html: &mut String, study: &Study) {
     for problem in study.problems() {
         let (rows, count) = shown(study, problem);
         let unit = rows.first().map_or("", |s| s.error_unit);
-        let of = if rows.len() < count { format!("; {} of {count} settings", rows.len()) } else { String::new() };
+        let of =
+            if rows.len() < count { format!("; {} of {count} settings", rows.len()) } else { String::new() };
         let _ = write!(
             html,
             "<table class=\"data\">\n<caption>{} <small>error: {}; costs of {}{of}</small></caption>\n\

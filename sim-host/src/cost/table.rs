@@ -37,6 +37,7 @@ pub(super) fn columns(study: &Study) -> Vec<(String, Box<dyn Fn(&Setting) -> Opt
         ("M4 instructions".into(), Box::new(|s| s.m4_instructions)),
         ("flash, bytes".into(), Box::new(|s| s.flash_bytes.map(f64::from))),
         ("host, ns".into(), Box::new(|s| s.host_ns)),
+        ("of it added, ns".into(), Box::new(|s| s.host_ns_added)),
     ];
     let mut further: Vec<&'static str> = Vec::new();
     for (name, _) in study.settings.iter().flat_map(|s| &s.also) {
@@ -70,7 +71,11 @@ pub fn text(studies: &[Study]) -> String {
         for problem in study.problems() {
             let (rows, count) = shown(study, problem);
             let unit = rows.first().map_or("", |s| s.error_unit);
-            let of = if rows.len() < count { format!(", {} of {count} settings", rows.len()) } else { String::new() };
+            let of = if rows.len() < count {
+                format!(", {} of {count} settings", rows.len())
+            } else {
+                String::new()
+            };
             let _ = writeln!(text, "\n  {problem}: error in {unit}{of}");
             let width = rows.iter().map(|s| s.setting.chars().count()).max().unwrap_or(0).max(7);
             let _ = write!(text, "     {:<width$}", "setting");
@@ -143,10 +148,16 @@ pub fn csv(study: &Study) -> String {
 
 /// What this machine took this time.
 pub fn timing_csv(study: &Study) -> String {
-    let mut csv = String::from("problem,setting,host_ns,pareto");
+    let mut csv = String::from("problem,setting,host_ns,host_ns_added,pareto");
     for s in &study.settings {
         let (problem, setting) = (quoted(s.problem), quoted(&s.setting));
-        let _ = write!(csv, "\n{problem},{setting},{},{}", cell(s.host_ns), u8::from(s.pareto));
+        let _ = write!(
+            csv,
+            "\n{problem},{setting},{},{},{}",
+            cell(s.host_ns),
+            cell(s.host_ns_added),
+            u8::from(s.pareto)
+        );
     }
     csv + "\n"
 }

@@ -1,8 +1,7 @@
 //! The integrators that are compared.
 
 use flight_core::geometry::{Quaternion, Vec3, vec3};
-use ode_solvers::dop_shared::OutputType;
-use ode_solvers::{Dop853, Dopri5, SVector, System};
+use ode_solvers::{Dopri5, OutputType, SVector, System};
 
 use crate::vehicle::State;
 
@@ -100,7 +99,12 @@ fn rk4(motion: &impl Motion, t: f64, at: &State, h: f64) -> State {
     };
     let slope = |t: f64, state: &State| {
         let (linear, angular) = motion.accelerations(t, state);
-        Slope { velocity: state.velocity, linear, turn: quaternion_slope(state.attitude, state.rates), angular }
+        Slope {
+            velocity: state.velocity,
+            linear,
+            turn: quaternion_slope(state.attitude, state.rates),
+            angular,
+        }
     };
     let k1 = slope(t, at);
     let k2 = slope(t + 0.5 * h, &moved(&k1, 0.5 * h));
@@ -150,15 +154,6 @@ fn rkmk4(motion: &impl Motion, t: f64, at: &State, h: f64) -> State {
     end
 }
 
-/// A method that chooses its steps by itself, of the crate `ode_solvers`.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Adaptive {
-    /// Dormand and Prince, order 5 (4).
-    Dopri5,
-    /// Dormand and Prince, order 8 (5, 3).
-    Dop853,
-}
-
 type Vector = SVector<f64, 13>;
 
 struct Equations<'a, M>(&'a M);
@@ -186,55 +181,45 @@ fn unpacked(y: &Vector) -> State {
     }
 }
 
-impl Adaptive {
-    /// The state at `end`, and the evaluations that it took. The first step is tried with `first_s`; at 0 the
-    /// method guesses one.
-    ///
-    /// # Panics
-    /// The method gives up, or its last point is not at `end`: neither happens to smooth motions.
-    pub fn integrate(
-        self,
-        motion: &impl Motion,
-        (start, end): (f64, f64),
-        at: &State,
-        tolerance: f64,
-        first_s: f64,
-    ) -> (State, u32) {
-        let y = packed(at.position, at.velocity, at.attitude.to_array(), at.rates);
-        // The dense output of version 0.6.2 ends with a wrong state; the sparse one has every step, the last
-        // of them at the end.
-        macro_rules! solve {
-            ($method:ident, $beta:expr, $smallest:expr, $largest:expr) => {{
-                let mut solver = $method::from_param(
-                    Equations(motion),
-                    start,
-                    end,
-                    end - start,
-                    y,
-                    tolerance,
-                    tolerance,
-                    0.9,
-                    $beta,
-                    $smallest,
-                    $largest,
-                    end - start,
-                    first_s,
-                    1_000_000,
-                    u32::MAX,
-                    OutputType::Sparse,
-                );
-                let done = solver.integrate().unwrap_or_else(|error| panic!("{self:?}: {error}"));
-                let last = solver.x_out().last().zip(solver.y_out().last());
-                let (t, y) = last.expect("the sparse output has the last point");
-                assert!((t - end).abs() <= 1e-12 * end.abs().max(1.0), "{self:?} ended at {t}, not at {end}");
-                (unpacked(y), done.num_eval)
-            }};
-        }
-        let (mut state, evaluations) = match self {
-            Self::Dopri5 => solve!(Dopri5, 0.04, 0.2, 10.0),
-            Self::Dop853 => solve!(Dop853, 0.0, 0.333, 6.0),
-        };
-        state.attitude = state.attitude.normalized();
-        (state, evaluations)
-    }
+/// Dormand and Prince's method of order 5 (4), of the crate `ode_solvers`, which chooses its steps by itself: the
+/// state at `end`, and the evaluations that it took. The first step is tried with `first_s`; at 0 the method
+/// guesses one.
+///
+/// # Panics
+/// The method gives up, or its last point is not at `end`: neither happens to smooth motions.
+pub fn dormand_prince(
+    motion: &impl Motion,
+    (start, end): (f64, f64),
+    at: &State,
+    tolerance: f64,
+    first_s: f64,
+) -> (State, u32) {
+    let y = packed(at.position, at.velocity, at.attitude.to_array(), at.rates);
+    // The dense output of version 0.6.2 ends with a wrong state; the sparse one has every step, the last of
+    // them at the end. The other parameters are its own defaults.
+    let mut solver = Dopri5::from_param(
+        Equations(motion),
+        start,
+        end,
+        end - start,
+        y,
+        tolerance,
+        tolerance,
+        0.9,
+        0.04,
+        0.2,
+        10.0,
+        end - start,
+        first_s,
+        1_000_000,
+        1000,
+        OutputType::Sparse,
+    );
+    let done = solver.integrate().unwrap_or_else(|error| panic!("Dormand-Prince: {error}"));
+    let (t, y) =
+        solver.x_out().last().zip(solver.y_out().last()).expect("the sparse output has the last point");
+    assert!((t - end).abs() <= 1e-12 * end.abs().max(1.0), "Dormand-Prince ended at {t}, not at {end}");
+    let mut state = unpacked(y);
+    state.attitude = state.attitude.normalized();
+    (state, done.num_eval)
 }

@@ -8,10 +8,10 @@
 //! The commands change every millisecond, and with them the rotors' accelerations: a step can be no longer,
 //! and an adaptive method has to begin anew at each.
 
-use flight_core::geometry::{Vec3, vec3};
+use flight_core::geometry::{Quaternion, Vec3, vec3};
 use serde::Deserialize;
 
-use super::methods::{Adaptive, Fixed, Motion};
+use super::methods::{Fixed, Motion, dormand_prince};
 use crate::flight::{Flight, Observer, STEP_US, StepView};
 use crate::input_error::InputError;
 use crate::scene::{BUILT_IN, Scene};
@@ -25,6 +25,10 @@ const TO_S: f64 = 29.0;
 pub const INTERVAL_S: f64 = STEP_US as f64 * 1e-6;
 /// Intervals between two looks at the error: a second.
 const LOOK: usize = 1000;
+
+/// What the two references take: tolerance of Dormand and Prince, steps of RKMK4 in a millisecond.
+pub const REFERENCE_TOLERANCE: f64 = 1e-13;
+pub const REFERENCE_STEPS: u32 = 8;
 
 /// What the scene says of the vehicle's effects.
 #[derive(Deserialize)]
@@ -65,10 +69,9 @@ impl Observer for Writer {
     fn step(&mut self, view: &StepView) {
         let at_s = view.time_us as f64 * 1e-6;
         if !(FROM_S - 1e-9..TO_S - 1e-9).contains(&at_s) {
-            if self.steps == self.replay.commands.len() && self.steps > 0 && self.steps.is_multiple_of(LOOK) {
-                // The first step behind the end.
+            // The step behind the last ends the last second.
+            if self.steps > 0 && self.replay.flown.len() < self.steps / LOOK {
                 self.replay.flown.push(*view.truth);
-                self.steps += 1;
             }
             return;
         }
@@ -109,7 +112,7 @@ impl Replay {
                 start: State {
                     position: Vec3::ZERO,
                     velocity: Vec3::ZERO,
-                    attitude: flight_core::geometry::Quaternion::IDENTITY,
+                    attitude: Quaternion::IDENTITY,
                     rates: Vec3::ZERO,
                 },
                 rotors: [0.0; 4],
@@ -127,15 +130,14 @@ impl Replay {
         self.commands.len() as f64 * INTERVAL_S
     }
 
-    /// Goes through the intervals with `advance(interval, start of it, state) -> state`, and returns the state
-    /// at each second.
-    fn through(&self, mut advance: impl FnMut(&Interval, f64, &State) -> State) -> Vec<State> {
+    /// Goes through the intervals, each with its own zero of time at its start, and returns the state at the end
+    /// of each second.
+    fn through(&self, mut advance: impl FnMut(&Interval, &State) -> State) -> Vec<State> {
         let (mut state, mut rotors) = (self.start, self.rotors);
         let mut looks = Vec::with_capacity(self.commands.len() / LOOK);
         for (k, &wanted) in self.commands.iter().enumerate() {
-            // Each interval has its own zero of time, at its start.
             let interval = Interval { replay: self, rotors, wanted };
-            state = advance(&interval, INTERVAL_S, &state);
+            state = advance(&interval, &state);
             rotors = interval.rotors_at(INTERVAL_S);
             if (k + 1).is_multiple_of(LOOK) {
                 looks.push(state);
@@ -147,16 +149,16 @@ impl Replay {
     /// With so many steps of a fixed method in each interval.
     pub fn fixed(&self, method: Fixed, steps: u32) -> Vec<State> {
         let h = INTERVAL_S / f64::from(steps);
-        self.through(|interval, _, state| {
+        self.through(|interval, state| {
             (0..steps).fold(*state, |state, k| method.step(interval, f64::from(k) * h, &state, h))
         })
     }
 
-    /// With a method that chooses its steps, and how many evaluations it took.
-    pub fn adaptive(&self, method: Adaptive, tolerance: f64) -> (Vec<State>, u32) {
+    /// With Dormand and Prince's method, and how many evaluations it took.
+    pub fn adaptive(&self, tolerance: f64) -> (Vec<State>, u32) {
         let mut evaluations = 0;
-        let looks = self.through(|interval, end, state| {
-            let (state, count) = method.integrate(interval, (0.0, end), state, tolerance, end);
+        let looks = self.through(|interval, state| {
+            let (state, count) = dormand_prince(interval, (0.0, INTERVAL_S), state, tolerance, INTERVAL_S);
             evaluations += count;
             state
         });
@@ -190,12 +192,10 @@ impl Motion for Interval<'_> {
         let w = state.rates;
         let spin = p.rotor_inertia_kg_m2 * (o1 - o2 + o3 - o4);
         let gyroscopic = vec3(w.y * spin, -w.x * spin, 0.0);
-        let torque = vec3(
-            lever * (f1 - f2 - f3 + f4),
-            lever * (f1 + f2 - f3 - f4),
-            reaction * (f1 - f2 + f3 - f4),
-        ) + gyroscopic
-            - w.cross(w.scale_by(p.inertia_kg_m2));
+        let torque =
+            vec3(lever * (f1 - f2 - f3 + f4), lever * (f1 + f2 - f3 - f4), reaction * (f1 - f2 + f3 - f4))
+                + gyroscopic
+                - w.cross(w.scale_by(p.inertia_kg_m2));
         let thrust = state.attitude.rotate(vec3(0.0, 0.0, -(f1 + f2 + f3 + f4)));
         let force = thrust - drag.scale_by(state.velocity);
         let Vec3 { x, y, z } = p.inertia_kg_m2;
@@ -229,8 +229,8 @@ mod tests {
     #[test]
     fn the_reference_is_confirmed_by_another_method() {
         let replay = Replay::fly().unwrap();
-        let (reference, _) = replay.adaptive(Adaptive::Dop853, 1e-13);
-        let (angle, place) = apart(&replay.fixed(Fixed::Rkmk4, 8), &reference);
+        let (reference, _) = replay.adaptive(REFERENCE_TOLERANCE);
+        let (angle, place) = apart(&replay.fixed(Fixed::Rkmk4, REFERENCE_STEPS), &reference);
         assert!(angle < 1e-11 && place < 1e-10, "{angle} rad, {place} m");
     }
 }

@@ -11,6 +11,11 @@ use super::elliptic::{Jacobi, jacobi, quarter_period};
 use super::methods::Motion;
 use crate::vehicle::State;
 
+/// Gauss's rule of five points on ±1: two pairs with their weights, and the weight of the middle.
+const GAUSS: [(f64, f64); 2] =
+    [(0.538_469_310_105_683_1, 0.478_628_670_499_366_5), (0.906_179_845_938_664, 0.236_926_885_056_189_1)];
+const GAUSS_MIDDLE: f64 = 0.568_888_888_888_888_9;
+
 /// A rigid body without any torque. I_x < I_y < I_z.
 #[derive(Clone, Copy, Debug)]
 pub struct Top {
@@ -67,6 +72,13 @@ impl Top {
         self.amplitudes.scale_by(functions)
     }
 
+    /// What a gyroscope integrates of the rates from `t_s` on over `h_s`, rad, by Gauss's rule.
+    pub fn turn(&self, t_s: f64, h_s: f64) -> Vec3<f64> {
+        let at = |x: f64| self.rates(t_s + 0.5 * h_s * (1.0 + x));
+        let sides = GAUSS.iter().fold(Vec3::ZERO, |sum, &(x, w)| sum + (at(-x) + at(x)) * w);
+        (at(0.0) * GAUSS_MIDDLE + sides) * (0.5 * h_s)
+    }
+
     /// φ̇ = L (I_x ω_x² + I_y ω_y²)/(I_x² ω_x² + I_y² ω_y²).
     fn precession_rate(&self, t_s: f64) -> f64 {
         let w = self.rates(t_s);
@@ -76,18 +88,15 @@ impl Top {
 
     /// The precession over a time, by Gauss's rule of five points in pieces of 1/50 of the functions' time.
     fn precession(&self, t_s: f64) -> f64 {
-        const HALF: [(f64, f64); 2] =
-            [(0.538_469_310_105_683_1, 0.478_628_670_499_366_5), (0.906_179_845_938_664, 0.236_926_885_056_189_1)];
-        const MIDDLE: f64 = 0.568_888_888_888_888_9;
         let pieces = libm::ceil((t_s * self.rate * 50.0).max(1.0));
         let h = 0.5 * t_s / pieces;
         let piece = |k: u32| {
             let at = h * (2.0 * f64::from(k) + 1.0);
-            let sides: f64 = HALF
+            let sides: f64 = GAUSS
                 .iter()
                 .map(|(x, w)| w * (self.precession_rate(at - x * h) + self.precession_rate(at + x * h)))
                 .sum();
-            h * (MIDDLE * self.precession_rate(at) + sides)
+            h * (GAUSS_MIDDLE * self.precession_rate(at) + sides)
         };
         (0..pieces as u32).map(piece).sum()
     }
@@ -103,8 +112,7 @@ impl Top {
             w: libm::cos(0.5 * angle),
             v: about * libm::sin(0.5 * angle),
         };
-        let attitude =
-            turn(Vec3::Z, self.precession(t_s)) * turn(Vec3::X, nutation) * turn(Vec3::Z, spin);
+        let attitude = turn(Vec3::Z, self.precession(t_s)) * turn(Vec3::X, nutation) * turn(Vec3::Z, spin);
         State { position: Vec3::ZERO, velocity: Vec3::ZERO, attitude, rates }
     }
 }
