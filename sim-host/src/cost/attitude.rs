@@ -178,14 +178,14 @@ pub fn study(options: &Options, progress: Progress) -> Result<Study, InputError>
         axis_title: "instructions per second on the Cortex-M4F",
         settings,
         remarks: vec![
-            "f32 is as good as f64 until the algorithm's own error falls below the rounding of thousands of samples, \
-             some 1e-6 rad; from there on more samples a second make it worse, not better. f64 is computed in software \
-             on this chip: it costs 70 to 100 times as much."
+            "In the tumbling top f32 stops at 1e-6 to 2e-5 rad, the rounding of thousands of samples: from there on more \
+             samples a second make it worse, not better. f64 goes on, but in software on this chip: it takes 70 to 100 \
+             times as many instructions."
                 .into(),
             "The algorithms of two and three samples turn the attitude only once in as many samples: cheaper and \
-             better, but late. The controller wants an attitude at every step of 1 kHz, and among what gives that, \
-             one sample at 1 kHz costs least. Its drift in this motion, violent for a vehicle in flight, is \
-             a²ω β²/12: 0.6 mrad in ten seconds would be the heading's share of a bias of 0.003 °/s."
+             better, but late. The controller wants an attitude at every step of 1 kHz, and of the quaternions that \
+             give it that, one sample at 1 kHz costs least. In this coning, violent for a vehicle in flight, it drifts \
+             by a²ω β²/12, half a milliradian in 10 s: as much as a bias of the gyroscope of 0.003 °/s."
                 .into(),
             "Euler angles are of the first order, and fail where the top's axis passes the vertical.".into(),
         ],

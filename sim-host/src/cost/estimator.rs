@@ -1,7 +1,7 @@
 //! The study `estimator`: attitude from all three sensors.
 //!
 //! Every estimator gets the same samples: those of a recording, or those that a simulated flight's sensors gave,
-//! calibrated and without a prefilter. As in [`crate::estimate`], `flight` has its gyroscope zeroed at rest, as
+//! calibrated and through the scene's prefilter. As in [`crate::estimate`], `flight` has its gyroscope zeroed at rest, as
 //! it has before arming, and the others take it as it is.
 
 use std::hint::black_box;
@@ -11,6 +11,7 @@ use std::time::Duration;
 use flight_core::calibration::{Calibration, SensorFields, SensorModel};
 use flight_core::estimator::{Estimator, EstimatorParams, Kinematics};
 use flight_core::geometry::{Quaternion, Vec3, vec3};
+use flight_core::prefilter::{Biquad, Prefilter};
 use nalgebra::{Quaternion as Parts, UnitQuaternion, Vector3};
 use uf_ahrs::{Ahrs, Madgwick, MadgwickParams, Mahony, MahonyParams, Vqf, VqfParams};
 
@@ -155,9 +156,10 @@ fn recording(directory: &Path, file: &str, problem: &'static str) -> Result<Reco
     })
 }
 
-/// Writes down what the sensors of a flight gave, calibrated.
+/// Writes down what the sensors of a flight gave, calibrated and prefiltered.
 struct Writer {
     models: [SensorModel; 3],
+    prefilters: [Prefilter; 3],
     last_us: Option<u64>,
     record: Record,
 }
@@ -166,12 +168,13 @@ impl Observer for Writer {
     fn step(&mut self, view: &StepView) {
         let Some(imu) = &view.input.imu else { return };
         let [gyro, accel, mag] = &self.models;
+        let [gyro_filter, accel_filter, mag_filter] = &mut self.prefilters;
         let dt_us = self.last_us.map_or(0, |last| view.time_us - last);
         self.last_us = Some(view.time_us);
         self.record.samples.push(Sample {
-            gyro: gyro.apply(imu.gyro),
-            accel: accel.apply(imu.accel),
-            mag: view.input.mag.map(|field| mag.apply(field.counts)),
+            gyro: gyro_filter.step(gyro.apply(imu.gyro)),
+            accel: accel_filter.step(accel.apply(imu.accel)),
+            mag: view.input.mag.map(|field| mag_filter.step(mag.apply(field.counts))),
             dt_s: dt_us as f32 * 1e-6,
         });
         // What counts is the flight, not the lying still before and after.
@@ -186,12 +189,18 @@ fn flown(name: &str, problem: &'static str) -> Result<Record, InputError> {
     let model = |fields, sensitivity, calibration| {
         SensorModel::new(fields, sensitivity, calibration).map_err(|error| InputError::new(error.to_string()))
     };
+    let prefilter = |rate_hz| {
+        let design =
+            p.prefilter_cutoff_hz.map(|cutoff_hz| Biquad::butterworth(cutoff_hz, rate_hz)).transpose();
+        design.map(Prefilter::new).map_err(|error| InputError::new(error.to_string()))
+    };
     let mut writer = Writer {
         models: [
             model(SensorFields::GYRO, p.gyro, calibration.gyro)?,
             model(SensorFields::ACCEL, p.accel, calibration.accel)?,
             model(SensorFields::MAG, p.mag, calibration.mag)?,
         ],
+        prefilters: [prefilter(p.imu_rate_hz)?, prefilter(p.imu_rate_hz)?, prefilter(p.mag_rate_hz)?],
         last_us: None,
         record: Record {
             problem,
@@ -294,8 +303,8 @@ pub fn study(options: &Options, progress: Progress) -> Result<Study, InputError>
     Ok(Study {
         name: "estimator",
         title: "Estimators of attitude",
-        about: "The error is that of the whole attitude, RMSE over all samples in motion. All get the same samples \
-                without a prefilter; `flight` has its gyroscope zeroed at rest, as it has before arming, the others \
+        about: "The error is that of the whole attitude, RMSE over all samples in motion. All get the same samples, \
+                those of the simulated flights through the scene's prefilter of 30 Hz; `flight` has its gyroscope zeroed at rest, as it has before arming, the others \
                 take it as it is. Mahony, Madgwick and VQF are those of the crate uf-ahrs with their default \
                 parameters."
             .into(),

@@ -15,7 +15,8 @@ const COLOURS: [&str; 6] =
 /// Error against cost of the problems of a study for which `wanted`, with both axes logarithmic.
 pub fn plot(study: &Study, (axis, axis_title): (Axis, &'static str), wanted: impl Fn(&str) -> bool) -> Chart {
     let problems: Vec<&str> = study.problems().into_iter().filter(|problem| wanted(problem)).collect();
-    let panels: Vec<Panel> = problems.iter().map(|problem| panel(study, problem, axis)).collect();
+    let panels: Vec<Panel> =
+        problems.iter().map(|problem| panel(study, problem, axis, problems.len() == 1)).collect();
     Chart {
         width: WIDTH,
         in_a_row: if panels.len() == 1 { 1 } else { 2 },
@@ -27,7 +28,7 @@ pub fn plot(study: &Study, (axis, axis_title): (Axis, &'static str), wanted: imp
     }
 }
 
-fn panel(study: &Study, problem: &str, axis: Axis) -> Panel {
+fn panel(study: &Study, problem: &str, axis: Axis, legend: bool) -> Panel {
     let settings: Vec<&Setting> = study.of(problem).collect();
     let place = |s: &Setting| s.cost(axis).zip(s.error).filter(|(x, y)| *x > 0.0 && *y > 0.0);
     let mut front: Vec<(f64, f64)> = settings
@@ -44,7 +45,7 @@ fn panel(study: &Study, problem: &str, axis: Axis) -> Panel {
         sets_axes: false,
     }];
     let mut labels = Vec::new();
-    for (series, colour) in series(study) {
+    for (series, stroke) in series(study) {
         let of: Vec<&Setting> = settings.iter().filter(|s| s.series == series).copied().collect();
         let mut points: Vec<(f64, f64)> = of.iter().filter_map(|s| place(s)).collect();
         points.sort_by(|a, b| a.0.total_cmp(&b.0));
@@ -58,12 +59,16 @@ fn panel(study: &Study, problem: &str, axis: Axis) -> Panel {
                     (true, false) => s.setting.clone(),
                     (false, _) => "default".into(),
                 };
-                labels.push(Label { at, text, colour: if s.default { colour::BLACK } else { colour } });
+                labels.push(Label {
+                    at,
+                    text,
+                    colour: if s.default { colour::BLACK } else { stroke.colour },
+                });
             }
         }
         lines.push(Line {
-            label: String::new(),
-            stroke: Stroke::solid(colour, if lone { 0.0 } else { 1.5 }),
+            label: if legend && !lone { series.into() } else { String::new() },
+            stroke: if lone { Stroke { width: 0.0, ..stroke } } else { stroke },
             points,
             dots: true,
             sets_axes: true,
@@ -84,12 +89,14 @@ fn has_lines(study: &Study) -> bool {
     })
 }
 
-/// The series in order, each with its colour.
-fn series(study: &Study) -> Vec<(&str, &'static str)> {
-    let mut list: Vec<(&str, &'static str)> = Vec::new();
+/// The series in order, each with its stroke: dashed from where the colours come round again.
+fn series(study: &Study) -> Vec<(&str, Stroke)> {
+    let mut list: Vec<(&str, Stroke)> = Vec::new();
     for s in &study.settings {
         if !list.iter().any(|(name, _)| *name == s.series) {
-            list.push((&s.series, COLOURS[list.len() % COLOURS.len()]));
+            let colour = COLOURS[list.len() % COLOURS.len()];
+            let dashed = list.len() >= COLOURS.len();
+            list.push((&s.series, Stroke { colour, width: 1.5, dashed }));
         }
     }
     list
@@ -132,10 +139,15 @@ fn section(html: &mut String, study: &Study) {
         escaped(&study.about),
         escaped(&study.reference)
     );
-    if has_lines(study) {
+    if has_lines(study) && study.problems().len() > 1 {
         html.push_str("<p class=\"legend\">");
-        for (name, colour) in series(study) {
-            let _ = write!(html, "<span><i style=\"background:{colour}\"></i>{}</span> ", escaped(name));
+        for (name, Stroke { colour, dashed, .. }) in series(study) {
+            let style = if dashed { "dashed" } else { "solid" };
+            let _ = write!(
+                html,
+                "<span><i style=\"border-top:3px {style} {colour}\"></i>{}</span> ",
+                escaped(name)
+            );
         }
         html.push_str("</p>\n");
     }
@@ -174,4 +186,53 @@ fn section(html: &mut String, study: &Study) {
         html.push_str("</table>\n");
     }
     html.push_str("</section>\n");
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn study() -> Study {
+        let setting = |series: &str, host_ns, error, default| Setting {
+            problem: "a < b",
+            series: series.into(),
+            setting: format!("{series} {host_ns}"),
+            error,
+            error_unit: "rad",
+            host_ns: Some(host_ns),
+            default,
+            ..Setting::default()
+        };
+        let mut study = Study {
+            name: "s",
+            title: "A & B",
+            about: "about".into(),
+            reference: "reference".into(),
+            per: "a step",
+            axis: Axis::Host,
+            axis_title: "ns",
+            settings: vec![
+                setting("x", 1.0, Some(1.0), false),
+                setting("x", 2.0, Some(0.1), true),
+                setting("y", 3.0, Some(0.0), false),
+                setting("y", 4.0, None, false),
+            ],
+            remarks: vec!["1 < 2".into()],
+        };
+        study.mark_front();
+        study
+    }
+
+    #[test]
+    fn a_page_escapes_and_has_every_setting() {
+        let html = page(&[study()]);
+        assert!(html.contains("A &amp; B") && html.contains("1 &lt; 2") && html.contains("a &lt; b"));
+        for row in ["x 1", "x 2", "y 3", "y 4"] {
+            assert!(html.contains(&format!("<td>{row}")), "{row}");
+        }
+        assert_eq!(html.matches("<tr class=\"front\">").count(), 3);
+        // A default, and an error of zero has no place on a logarithmic axis.
+        assert!(html.contains(">default</text>"));
+        assert!(!html.contains("NaN") && !html.contains("inf"));
+    }
 }
