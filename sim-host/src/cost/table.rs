@@ -30,9 +30,12 @@ pub(super) fn number(value: Option<f64>) -> String {
     }
 }
 
-/// The columns behind the setting: name, and the value of a setting. Columns without any value are left out.
-pub(super) fn columns(study: &Study) -> Vec<(String, Box<dyn Fn(&Setting) -> Option<f64>>)> {
-    let mut list: Vec<(String, Box<dyn Fn(&Setting) -> Option<f64>>)> = vec![
+/// Heading of a column, and the value of a setting in it.
+type Column = (String, Box<dyn Fn(&Setting) -> Option<f64>>);
+
+/// The columns behind the setting, of those that have any value. Columns without any value are left out.
+pub(super) fn columns(study: &Study) -> Vec<Column> {
+    let mut list: Vec<Column> = vec![
         ("error".into(), Box::new(|s| s.error)),
         ("M4 instructions".into(), Box::new(|s| s.m4_instructions)),
         ("flash, bytes".into(), Box::new(|s| s.flash_bytes.map(f64::from))),
