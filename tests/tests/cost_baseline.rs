@@ -42,6 +42,10 @@ fn measured() -> Baseline {
     STUDIES.iter().map(|study| (study.name.to_owned(), settings(study))).collect()
 }
 
+fn number(value: f64) -> String {
+    if value < 1e-3 { format!("{value:e}") } else { format!("{value}") }
+}
+
 fn text(baseline: &Baseline) -> String {
     let mut text = String::from(
         "# Errors of the settings that `sim-host cost --quick` compares, and their instructions on the Cortex-M4F.\n\
@@ -51,7 +55,7 @@ fn text(baseline: &Baseline) -> String {
         writeln!(text, "\n[{study}]").unwrap();
         for (setting, figures) in settings {
             let figures: Vec<String> =
-                figures.iter().map(|(name, value)| format!("{name} = {value:e}")).collect();
+                figures.iter().map(|(name, value)| format!("{name} = {}", number(*value))).collect();
             writeln!(text, "\"{setting}\" = {{ {} }}", figures.join(", ")).unwrap();
         }
     }
@@ -128,5 +132,5 @@ fn the_default_is_on_the_front() {
     for problem in study("arithmetic").problems() {
         check("arithmetic", problem, instructions, everything);
     }
-    check("rates", "steps: 30° doublets", instructions, everything);
+    check("rates", "steps: true attitude against that at 8 kHz", instructions, everything);
 }

@@ -1,7 +1,7 @@
 //! The command `cost`: what accuracy costs in time.
 
 use std::io::Write as _;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use sim_host::cost::{self, Options};
 use sim_host::input_error::InputError;
@@ -27,6 +27,15 @@ pub struct CostArguments {
 }
 
 pub fn run(arguments: &CostArguments) -> Result<Answer, InputError> {
+    // What can be wrong is found before minutes of work.
+    cost::check_names(&arguments.studies)?;
+    if let Some(directory) = &arguments.csv {
+        std::fs::create_dir_all(directory).map_err(|error| {
+            InputError::new(format!("cannot be made: {error}")).file(directory).field("--csv")
+        })?;
+    }
+    let report = arguments.report.as_ref().map(OutputFile::create).transpose()?;
+
     let recordings = std::env::var_os(RECORDINGS).filter(|path| !path.is_empty()).map(PathBuf::from);
     let options = Options { quick: arguments.quick, timed: true, recordings };
     let bar = progress::bar(1000, "cost");
@@ -36,22 +45,19 @@ pub fn run(arguments: &CostArguments) -> Result<Answer, InputError> {
     })?;
     bar.finish_and_clear();
     if let Some(directory) = &arguments.csv {
-        std::fs::create_dir_all(directory).map_err(|error| {
-            InputError::new(format!("cannot be made: {error}")).file(directory).field("--csv")
-        })?;
         for study in &studies {
-            write(&directory.join(format!("{}.csv", study.name)), &cost::csv(study))?;
-            write(&directory.join(format!("{}-timing.csv", study.name)), &cost::timing_csv(study))?;
+            let file = |name: String| OutputFile::create(directory.join(name));
+            write(file(format!("{}.csv", study.name))?, &cost::csv(study))?;
+            write(file(format!("{}-timing.csv", study.name))?, &cost::timing_csv(study))?;
         }
     }
-    if let Some(path) = &arguments.report {
-        write(path, &cost::page(&studies))?;
+    if let Some(report) = report {
+        write(report, &cost::page(&studies))?;
     }
     Ok(Answer { json: cost::to_json(&studies), text: cost::text(&studies), failed: false })
 }
 
-fn write(path: &Path, text: &str) -> Result<(), InputError> {
-    let mut file = OutputFile::create(path)?;
+fn write(mut file: OutputFile, text: &str) -> Result<(), InputError> {
     file.write_all(text.as_bytes()).map_err(|error| file.error(&error))?;
     file.finish()
 }

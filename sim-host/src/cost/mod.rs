@@ -187,6 +187,17 @@ pub fn names() -> impl Iterator<Item = &'static str> {
     STUDIES.iter().map(|(name, ..)| *name)
 }
 
+/// Whether there are studies of these names.
+///
+/// # Errors
+/// A name that is none, with the nearest one.
+pub fn check_names(wanted: &[String]) -> Result<(), InputError> {
+    match wanted.iter().find(|name| !names().any(|known| known == *name)) {
+        Some(unknown) => Err(check::unknown("STUDY", unknown, names())),
+        None => Ok(()),
+    }
+}
+
 /// Runs the studies of these names, or all of them.
 ///
 /// # Errors
@@ -196,11 +207,7 @@ pub fn run(
     options: &Options,
     progress: &dyn Fn(&str, f64),
 ) -> Result<Vec<Study>, InputError> {
-    for name in wanted {
-        if !names().any(|known| known == name) {
-            return Err(check::unknown("STUDY", name, names()));
-        }
-    }
+    check_names(wanted)?;
     let chosen: Vec<_> = STUDIES
         .iter()
         .filter(|(name, ..)| wanted.is_empty() || wanted.iter().any(|wanted| wanted == name))

@@ -33,7 +33,7 @@ pub(super) fn number(value: Option<f64>) -> String {
 /// Heading of a column, and the value of a setting in it.
 type Column = (String, Box<dyn Fn(&Setting) -> Option<f64>>);
 
-/// The columns behind the setting, of those that have any value. Columns without any value are left out.
+/// The columns behind the setting; those without any value are left out.
 pub(super) fn columns(study: &Study) -> Vec<Column> {
     let mut list: Vec<Column> = vec![
         ("error".into(), Box::new(|s| s.error)),

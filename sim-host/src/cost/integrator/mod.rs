@@ -153,7 +153,7 @@ pub fn study(options: &Options, progress: Progress) -> Result<Study, InputError>
         axis_title: "time on this machine, ns per simulated second",
         settings,
         remarks: vec![
-            "No method gets better than rounding lets it: 1e-12 rad in 10 s, and some 3e-10 for the top about its \
+            "No method gets better than rounding lets it: 1e-12 rad in 10 s, and some 1e-9 for the top about its \
              intermediate axis. There the period hangs on by how much the momentum exceeds that of the separatrix, a \
              millionth of it, and rounding counts a million times."
                 .into(),
