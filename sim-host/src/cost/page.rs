@@ -130,14 +130,20 @@ pub fn page(studies: &[Study]) -> String {
     html
 }
 
+/// Text with what stands in backticks as code.
+fn prose(text: &str) -> String {
+    let part = |(k, part)| if k % 2 == 1 { format!("<code>{}</code>", escaped(part)) } else { escaped(part) };
+    text.split('`').enumerate().map(part).collect()
+}
+
 fn section(html: &mut String, study: &Study) {
     let _ = write!(
         html,
         "<section id=\"{}\">\n<figure>\n<h2>{}</h2>\n<figcaption>{} <b>Reference:</b> {}</figcaption>\n",
         study.name,
         escaped(study.title),
-        escaped(&study.about),
-        escaped(&study.reference)
+        prose(&study.about),
+        prose(&study.reference)
     );
     if has_lines(study) && study.problems().len() > 1 {
         html.push_str("<p class=\"legend\">");
@@ -154,7 +160,7 @@ fn section(html: &mut String, study: &Study) {
     let chart = plot(study, (study.axis, study.axis_title), |_| true);
     let _ = write!(html, "<div class=\"scroll\">{}</div>\n</figure>\n", chart.to_svg());
     for remark in &study.remarks {
-        let _ = writeln!(html, "<p class=\"remark\">{}</p>", escaped(remark));
+        let _ = writeln!(html, "<p class=\"remark\">{}</p>", prose(remark));
     }
     let columns = columns(study);
     for problem in study.problems() {
@@ -217,7 +223,7 @@ mod tests {
                 setting("y", 3.0, Some(0.0), false),
                 setting("y", 4.0, None, false),
             ],
-            remarks: vec!["1 < 2".into()],
+            remarks: vec!["1 < `2`".into()],
         };
         study.mark_front();
         study
@@ -226,7 +232,9 @@ mod tests {
     #[test]
     fn a_page_escapes_and_has_every_setting() {
         let html = page(&[study()]);
-        assert!(html.contains("A &amp; B") && html.contains("1 &lt; 2") && html.contains("a &lt; b"));
+        assert!(
+            html.contains("A &amp; B") && html.contains("1 &lt; <code>2</code>") && html.contains("a &lt; b")
+        );
         for row in ["x 1", "x 2", "y 3", "y 4"] {
             assert!(html.contains(&format!("<td>{row}")), "{row}");
         }
