@@ -9,7 +9,7 @@ use crate::calibration::{Calibration, SensorFields, SensorModel};
 use crate::config::{Config, ConfigError, check};
 use crate::control::Controller;
 use crate::esc::Esc;
-use crate::estimator::{Estimator, EstimatorParams, GyroZero};
+use crate::estimator::{Estimator, GyroZero};
 use crate::geometry::{Quaternion, Vec3};
 use crate::imu_check::ImuCheck;
 use crate::mixer::{Mixer, Saturation, Wrench};
@@ -35,7 +35,6 @@ pub struct FlightController {
     accel_prefilter: Prefilter,
     mag_prefilter: Prefilter,
     gyro_zero: GyroZero,
-    estimator_params: EstimatorParams,
     estimator: Estimator,
     controller: Controller,
     mixer: Mixer,
@@ -50,7 +49,7 @@ pub struct FlightController {
     calibrated: bool,
     descent_throttle: f32,
 
-    /// Prefiltered body rates less the bias, rad/s.
+    /// Prefiltered body rates less the bias, learnt at rest and by the estimator, rad/s.
     rates: Vec3<f32>,
     /// A frame whose sticks are taken in the next step.
     waiting: Option<RcFrame>,
@@ -96,7 +95,6 @@ impl FlightController {
             accel_prefilter: design(p.imu_rate_hz)?,
             mag_prefilter: design(p.mag_rate_hz)?,
             gyro_zero: GyroZero::default(),
-            estimator_params: p.estimator,
             estimator: Estimator::new(&p.estimator)?,
             controller: Controller::new(&p.control, p.airframe.inertia_kg_m2)?,
             mixer: Mixer::new(&p.airframe)?,
@@ -222,13 +220,23 @@ impl FlightController {
         let dt_s = if gap { 0.0 } else { self.imu_age_us as f32 * 1.0e-6 };
         self.imu_age_us = 0;
 
-        let gyro = self.gyro_prefilter.step(self.gyro_model.apply(sample.gyro));
-        let accel = self.accel_prefilter.step(self.accel_model.apply(sample.accel));
+        let read = (self.gyro_model.apply(sample.gyro), self.accel_model.apply(sample.accel));
+        let gyro = self.gyro_prefilter.step(read.0);
+        let accel = self.accel_prefilter.step(read.1);
         if !self.arming.state().flies() {
             self.gyro_zero.learn(gyro, accel, dt_s);
+            if self.zeroed_and_still() {
+                self.estimator.gyro_zeroed();
+            }
         }
-        self.rates = gyro - self.gyro_zero.bias();
-        self.estimator.update(self.rates, accel, mag, dt_s);
+        let zero = self.gyro_zero.bias();
+        self.rates = gyro - zero;
+        if self.estimator.is_a_low_pass() {
+            self.estimator.update(read.0 - zero, read.1, mag, dt_s);
+            self.rates = self.rates - self.estimator.gyro_bias();
+        } else {
+            self.estimator.update(self.rates, accel, mag, dt_s);
+        }
     }
 
     /// After a gap in the samples the filters' pasts are no longer theirs.
@@ -238,9 +246,14 @@ impl FlightController {
         self.accel_prefilter.restart();
         self.mag_prefilter.restart();
         self.gyro_zero.interrupt();
-        if let Ok(estimator) = Estimator::new(&self.estimator_params) {
-            self.estimator = estimator;
+        self.estimator.restart();
+        if self.arming.state().flies() {
+            self.estimator.gyro_zeroed();
         }
+    }
+
+    fn zeroed_and_still(&self) -> bool {
+        self.gyro_zero.still() && self.gyro_zero.zeroed()
     }
 
     #[inline(always)]
@@ -260,11 +273,10 @@ impl FlightController {
             // The other conditions stand in no row of a flight: `Conditions::IN_FLIGHT`.
             return Conditions::of(always);
         }
-        let still = self.gyro_zero.still() && self.gyro_zero.zeroed();
         // A tilt that is not a number is not level.
         let level = self.estimator.down().z >= ARM_COS_TILT;
         let on_the_ground = [
-            (Conditions::NOT_STILL, !still),
+            (Conditions::NOT_STILL, !self.zeroed_and_still()),
             (Conditions::NOT_LEVEL, !level),
             (Conditions::NO_CALIBRATION, !self.calibrated),
             (Conditions::BATTERY_LOW, self.battery.low()),
@@ -323,13 +335,13 @@ impl FlightController {
         self.estimator.attitude()
     }
 
-    /// Body rates after prefilter and gyro zero, rad/s.
+    /// Body rates after prefilter, gyro zero and the estimator's bias, rad/s.
     pub fn rates_rad_s(&self) -> Vec3<f32> {
         self.rates
     }
 
-    /// The gyroscope's bias as learnt at rest, rad/s.
+    /// The gyroscope's bias as learnt at rest, and what the estimator has found since, rad/s.
     pub fn gyro_bias_rad_s(&self) -> Vec3<f32> {
-        self.gyro_zero.bias()
+        self.gyro_zero.bias() + self.estimator.gyro_bias()
     }
 }

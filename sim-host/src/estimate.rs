@@ -392,7 +392,7 @@ mod tests {
         assert_eq!((report.rows, report.scored_rows), (4000, 3200));
         assert_eq!(
             report.estimators.keys().copied().collect::<Vec<_>>(),
-            ["flight", "paper", "paper-literal"]
+            ["flight", "paper", "paper-literal", "robust"]
         );
         for (name, bound) in [("flight", 0.05), ("paper", 0.4), ("paper-literal", 0.2)] {
             let score = report.estimators[name];
@@ -506,7 +506,7 @@ mod tests {
         let request = Request { estimators: vec!["kalman".into()], ..Request::default() };
         assert_eq!(
             run(&request).unwrap_err().to_string(),
-            "--estimator = kalman: must be one of paper, paper-literal, flight"
+            "--estimator = kalman: must be one of paper, paper-literal, flight, robust"
         );
     }
 }

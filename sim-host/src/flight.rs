@@ -70,6 +70,21 @@ pub enum Crash {
 }
 
 impl Crash {
+    /// All of them.
+    pub const ALL: [Self; 5] =
+        [Self::NotFinite, Self::HardTouchDown, Self::TiltedTouchDown, Self::TippedOver, Self::FlownAway];
+
+    /// For programs.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::NotFinite => "not_finite",
+            Self::HardTouchDown => "hard_touch_down",
+            Self::TiltedTouchDown => "tilted_touch_down",
+            Self::TippedOver => "tipped_over",
+            Self::FlownAway => "flown_away",
+        }
+    }
+
     /// For people.
     pub fn text(self) -> &'static str {
         match self {
@@ -216,12 +231,11 @@ impl<A: Autopilot> Flight<A> {
     pub fn flown_by(autopilot: A, scene: &Scene, seed: u64) -> Self {
         let step_s = STEP_US as f64 * 1e-6;
         let rate_hz = f64::from(DEFAULT_RATE_HZ);
+        let knowledge = scene.pilot_knowledge();
+        let (scene, _) = scene.of_run(seed);
         let vehicle =
             Vehicle::at_rest(scene.vehicle, scene.mount(), scene.vehicle_effects(seed, rate_hz), step_s);
-        let pilot = scene
-            .pilot
-            .as_ref()
-            .map(|p| Pilot::new(p, scene.duration_s, scene.pilot_knowledge(), vehicle.state()));
+        let pilot = scene.pilot.as_ref().map(|p| Pilot::new(p, scene.duration_s, knowledge, vehicle.state()));
         Self {
             vehicle,
             sensors: scene.sensors(seed, rate_hz, f64::from(MAG_RATE_HZ)),

@@ -7,6 +7,7 @@
 
 pub mod allan;
 pub mod attitude_error;
+pub mod campaign;
 pub mod chart;
 pub mod chips;
 pub mod cost;

@@ -128,6 +128,9 @@ pub struct Knowledge {
 /// Climb and descent, m/s.
 const CLIMB_M_S: f64 = 1.0;
 const DESCENT_M_S: f64 = 0.5;
+/// The descent goes on below the ground, so that the vehicle settles on it. Down to 2 m, which is 2.8 m/s² of
+/// height error: the rotors' cushion over the ground holds up to a third more.
+const DEEPEST_M: f64 = 2.0;
 
 /// The gesture is held this long: the flight code asks for 1 s to arm.
 const ARM_GESTURE_S: f64 = 1.2;
@@ -184,15 +187,17 @@ impl Pilot {
         }
     }
 
-    /// Where the pilot wants the vehicle at time `t_s`, north, east, down, m.
-    pub fn target_m(&self, t_s: f64) -> Vec3<f64> {
+    /// Height above the start that the pilot wants at time `t_s`, m; below zero to settle on the ground.
+    fn wanted_height_m(&self, t_s: f64) -> f64 {
         let Plan { take_off_at_s, height_m, .. } = self.plan;
         let climbed = ((t_s - take_off_at_s) * CLIMB_M_S).clamp(0.0, height_m);
-        // The descent goes on below the ground, so that the vehicle settles on it. Down to 2 m, which is
-        // 2.8 m/s² of height error: the rotors' cushion over the ground holds up to a third more.
         let descended = self.land_at_s.map_or(0.0, |at| ((t_s - at) * DESCENT_M_S).max(0.0));
-        let height = (climbed - descended).max(-2.0);
-        Vec3 { z: self.home.z - height, ..self.home }
+        (climbed - descended).max(-DEEPEST_M)
+    }
+
+    /// Where the pilot wants the vehicle at time `t_s`, north, east, down, m.
+    pub fn target_m(&self, t_s: f64) -> Vec3<f64> {
+        Vec3 { z: self.home.z - self.wanted_height_m(t_s), ..self.home }
     }
 
     /// The frame that the transmitter sends at time `t_s`, when the vehicle is in `state`.
@@ -242,8 +247,12 @@ impl Pilot {
         match self.base {
             Base::Centred { .. } => true,
             Base::Hold => {
+                // Four seconds after it should have been down it stands on two feet, leaning into the wind, or on
+                // the rotors' cushion: a pilot gives up the throttle, and it drops the rest.
+                let overdue = self.wanted_height_m(t_s) <= -DEEPEST_M;
+                let height_m = if overdue { 0.1 } else { 0.03 };
                 self.target_m(t_s).z > self.home.z
-                    && view.position.z > self.home.z - 0.03
+                    && view.position.z > self.home.z - height_m
                     && view.velocity.z.abs() < 0.1
             }
         }

@@ -68,6 +68,7 @@ fn moment(k: u32) -> Moment<'static> {
 
 /// Measures the effects of a scene, in the order in which they apply.
 pub fn measure(scene: &Scene) -> Vec<Cost> {
+    let scene = &*scene.of_run(scene.seed).0;
     let (seed, rate_hz, mag_rate_hz) = (scene.seed, f64::from(DEFAULT_RATE_HZ), f64::from(MAG_RATE_HZ));
     let mut costs = Vec::new();
     let mut note = |name, ns_per_step| costs.push(Cost { name, ns_per_step });

@@ -28,7 +28,7 @@ impl<'a> Sampler<'a> {
         let mag_every = u64::from(rate_hz / MAG_RATE_HZ).max(1);
         let rate_hz = f64::from(rate_hz);
         Self {
-            sensors: scene.sensors(seed, rate_hz, rate_hz / mag_every as f64),
+            sensors: scene.of_run(seed).0.sensors(seed, rate_hz, rate_hz / mag_every as f64),
             mag_every,
             until_mag: 0,
             samples: 0,

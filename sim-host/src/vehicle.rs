@@ -144,7 +144,8 @@ pub struct Vehicle {
     thrusts: Vec<Box<dyn ThrustEffect>>,
     bodies: Vec<Body>,
     step_s: f64,
-    time_s: f64,
+    /// Steps so far. Counted: a sum of 86.4 million times 0.001 s is 26 µs short of a day.
+    steps: u64,
     state: State,
     rotors: [f64; 4],
     wanted: [f64; 4],
@@ -187,7 +188,7 @@ impl Vehicle {
             thrusts: Vec::new(),
             bodies: Vec::new(),
             step_s,
-            time_s: 0.0,
+            steps: 0,
             state: State {
                 position: vec3(0.0, 0.0, down),
                 velocity: Vec3::ZERO,
@@ -292,7 +293,7 @@ impl Vehicle {
     #[inline(always)]
     pub fn moment(&self) -> Moment<'_> {
         Moment {
-            time_s: self.time_s,
+            time_s: self.steps as f64 * self.step_s,
             state: &self.state,
             specific_force: self.specific_force(),
             angular_acceleration: self.slope.angular_acceleration,
@@ -346,7 +347,7 @@ impl Vehicle {
             rates: at.rates + mean(|k| k.angular_acceleration),
         };
         self.rotors = end;
-        self.time_s += h;
+        self.steps += 1;
         if OPTIONAL && !self.winds.is_empty() {
             self.blow();
         }

@@ -54,8 +54,8 @@ fn cases() -> Vec<Case> {
             "[effects.gyro.white_noise]",
             "[effects.gyro.whitenoise]",
             "bad.toml:28: unknown field `whitenoise`, expected one of `vibration`, `bandwidth`, `g_sensitivity`, \
-             `misalignment`, `scale_factor`, `temperature`, `constant_bias`, `turn_on_bias`, `rate_ramp`, `rate_random_walk`, \
-                 `bias_instability`, `white_noise`, `saturation`, `quantization` (did you mean `white_noise`?)",
+             `misalignment`, `scale_factor`, `temperature`, `constant_bias`, `turn_on_bias`, `bias_step`, \
+             `rate_ramp`, `rate_random_walk`, `bias_instability`, `white_noise`, `saturation`, `quantization` (did you mean `white_noise`?)",
         ),
         scene(
             "a negative mass",
@@ -81,7 +81,7 @@ fn cases() -> Vec<Case> {
             "an unknown estimator",
             "estimator = \"flight\"",
             "estimator = \"fligth\"",
-            "bad.toml: flight.estimator = fligth: must be one of paper, paper-literal, flight (did you mean `flight`?)",
+            "bad.toml: flight.estimator = fligth: must be one of paper, paper-literal, flight, robust (did you mean `flight`?)",
         ),
         scene(
             "a number that is none",

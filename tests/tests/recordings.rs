@@ -21,6 +21,9 @@ struct Trial {
     /// Total RMSE of the BROAD authors' BasicVQF, a filter without bias estimation: `flight`, with its
     /// gyroscope zeroed at rest, has to do no worse.
     basic_vqf_total: f64,
+    /// Total RMSE of their VQF, which estimates the bias and looks for magnetic disturbances: what `robust` is
+    /// measured by.
+    vqf_total: f64,
 }
 
 const TRIALS: [Trial; 4] = [
@@ -30,6 +33,7 @@ const TRIALS: [Trial; 4] = [
         paper: [2.91, 0.96],
         paper_inclination_limit: 1.00,
         basic_vqf_total: 2.30,
+        vqf_total: 1.38,
     },
     Trial {
         file: "07_undisturbed_fast_rotation_B.csv",
@@ -37,6 +41,7 @@ const TRIALS: [Trial; 4] = [
         paper: [6.27, 4.46],
         paper_inclination_limit: 4.7,
         basic_vqf_total: 3.49,
+        vqf_total: 1.75,
     },
     Trial {
         file: "11_undisturbed_slow_translation_B.csv",
@@ -44,6 +49,7 @@ const TRIALS: [Trial; 4] = [
         paper: [8.19, 5.68],
         paper_inclination_limit: 5.9,
         basic_vqf_total: 3.70,
+        vqf_total: 0.90,
     },
     Trial {
         file: "27_disturbed_phone_vibration_B.csv",
@@ -51,6 +57,7 @@ const TRIALS: [Trial; 4] = [
         paper: [9.03, 5.38],
         paper_inclination_limit: 5.6,
         basic_vqf_total: 7.23,
+        vqf_total: 6.73,
     },
 ];
 
@@ -107,4 +114,24 @@ fn flight_does_no_worse_than_a_published_filter_without_bias_estimation() {
         let [total, ..] = estimate(trial, "flight");
         assert!(total <= trial.basic_vqf_total, "{}: {total}", trial.file);
     }
+}
+
+#[test]
+#[ignore = "needs KESTREL_DATA, the BROAD recordings"]
+fn robust_does_no_worse_than_the_published_filter_with_bias_estimation() {
+    let mut sums = [0.0; 3];
+    for trial in &TRIALS {
+        let score = estimate(trial, "robust");
+        let [total, ..] = score;
+        // Far from the paper's filter: at most half of its error, but in 27, whose field points 6° off north for any
+        // filter.
+        let share = if trial.vqf_total > 5.0 { 0.8 } else { 0.5 };
+        assert!(total <= share * trial.paper[0], "{}: {total}", trial.file);
+        assert!(total <= 1.05 * trial.vqf_total, "{}: {total}", trial.file);
+        sums = std::array::from_fn(|n| sums[n] + score[n]);
+    }
+    let [total, _, inclination] = sums.map(|sum| sum / TRIALS.len() as f64);
+    println!("mean: total {total}, inclination {inclination}");
+    // VQF: 2.69 and 0.56.
+    assert!(total <= 2.69 && inclination <= 0.6, "{total} {inclination}");
 }

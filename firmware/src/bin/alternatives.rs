@@ -27,7 +27,7 @@ use fixed_input::{FLIGHT, PERIOD_US};
 use flight_core::ConfigError;
 use flight_core::arithmetic;
 use flight_core::calibration::{SensorCalibration, SensorFields, SensorModel};
-use flight_core::estimator::{Estimator, EstimatorParams, Kinematics};
+use flight_core::estimator::{Estimator, EstimatorParams, Kinematics, Weight};
 use flight_core::geometry::{Quaternion, Vec3, vec3};
 use flight_core::prefilter::{Biquad, Prefilter};
 use gauge::Gauge;
@@ -277,12 +277,13 @@ fn estimators<I: Iterator<Item = Reading>>(
             only as *const ()
         }};
     }
-    let quaternion = EstimatorParams { kinematics: Kinematics::Quaternion, ..EstimatorParams::PAPER };
+    let quaternion = EstimatorParams::complementary(Kinematics::Quaternion, Weight::PAPER);
     for (name, params) in EstimatorParams::PRESETS.into_iter().chain([("paper on a quaternion", quaternion)])
     {
         let (code_nine, code_six) = match Estimator::new(&params)? {
             Estimator::Euler(_) => (only!(Euler, |r| Some(r.mag)), only!(Euler, |_| None)),
             Estimator::Quaternion(_) => (only!(Quaternion, |r| Some(r.mag)), only!(Quaternion, |_| None)),
+            Estimator::Robust(_) => (only!(Robust, |r| Some(r.mag)), only!(Robust, |_| None)),
         };
         let mut estimator = Estimator::new(&params)?;
         let nine_axis = format_args!("estimator {name} 9-axis");

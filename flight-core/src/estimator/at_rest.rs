@@ -12,7 +12,7 @@ const STILL_ACCEL: f32 = 0.6;
 
 /// A steady rate above this is a turntable, not a bias, rad/s (20 °/s: the largest zero-rate output in the
 /// datasheets of common chips, the MPU-6050's).
-const MAX_BIAS: f32 = 0.35;
+pub(super) const MAX_BIAS: f32 = 0.35;
 
 /// Stillness that it takes before a mean is believed, s.
 const MIN_STILL_S: f32 = 1.0;

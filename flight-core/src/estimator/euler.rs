@@ -1,6 +1,6 @@
 //! Eq 18 on roll, pitch and yaw, each by itself, as the paper has it.
 
-use super::{EstimatorParams, MIN_HORIZONTAL_FIELD_SQUARED, MIN_SPECIFIC_FORCE_SQUARED, Weight};
+use super::{MIN_HORIZONTAL_FIELD_SQUARED, MIN_SPECIFIC_FORCE_SQUARED, Weight};
 use crate::arithmetic::{atan2, direction, elevation, sin_cos, sqrt, wrap_pi};
 use crate::geometry::{Quaternion, Vec3, vec3};
 
@@ -29,10 +29,10 @@ pub struct EulerFilter {
 }
 
 impl EulerFilter {
-    pub(super) fn new(params: &EstimatorParams) -> Self {
+    pub(super) fn new(weight: Weight, declination_rad: f32) -> Self {
         Self {
-            weight: params.weight,
-            declination_rad: params.declination_rad,
+            weight,
+            declination_rad,
             roll: 0.0,
             pitch: 0.0,
             yaw: 0.0,
@@ -103,6 +103,10 @@ impl EulerFilter {
         self.heading_started = true;
         self.mag_dt_s = 0.0;
         self.yaw += share * wrap_pi(yaw - self.yaw);
+    }
+
+    pub(super) fn restart(&mut self) {
+        *self = Self::new(self.weight, self.declination_rad);
     }
 
     pub(super) fn started(&self) -> bool {

@@ -1,21 +1,24 @@
 //! Eq 18 on a quaternion: predict by the gyroscope, then go the share 1 − α of the shortest rotation from
 //! the prediction to the measurement, first in tilt, then in heading.
 
-use super::{EstimatorParams, MIN_HORIZONTAL_FIELD_SQUARED, MIN_SPECIFIC_FORCE_SQUARED, Weight};
-use crate::arithmetic::{atan2, direction, wrap_pi};
+use super::{MIN_HORIZONTAL_FIELD_SQUARED, MIN_SPECIFIC_FORCE_SQUARED, Weight};
+use crate::arithmetic::{direction, wrap_pi};
 use crate::geometry::{Quaternion, Vec3, vec3};
 
 /// The complementary filter on a quaternion.
 ///
 /// While the filter is younger than τ its age takes the place of τ, which makes the start the plain mean of
 /// the first measurements instead of a τ-long decay of the first sample's noise.
+// As declared, so that attitude and down lie where they do in the robust filter, and who asks for them does not care
+// which of the two it is.
 #[derive(Clone, Copy, Debug)]
+#[repr(C)]
 pub struct QuaternionFilter {
-    weight: Weight,
-    declination_rad: f32,
     q: Quaternion<f32>,
     /// Down in body axes, kept from the last update.
     down: Vec3<f32>,
+    weight: Weight,
+    declination_rad: f32,
     /// Time since the first sample, s, counted up to τ.
     tilt_age_s: f32,
     /// Time since the first magnetometer sample, s, counted up to τ.
@@ -27,10 +30,10 @@ pub struct QuaternionFilter {
 }
 
 impl QuaternionFilter {
-    pub(super) fn new(params: &EstimatorParams) -> Self {
+    pub(super) fn new(weight: Weight, declination_rad: f32) -> Self {
         Self {
-            weight: params.weight,
-            declination_rad: params.declination_rad,
+            weight,
+            declination_rad,
             q: Quaternion::IDENTITY,
             down: Vec3::Z,
             tilt_age_s: 0.0,
@@ -108,6 +111,10 @@ impl QuaternionFilter {
         }
     }
 
+    pub(super) fn restart(&mut self) {
+        *self = Self::new(self.weight, self.declination_rad);
+    }
+
     pub(super) fn started(&self) -> bool {
         self.tilt_started
     }
@@ -118,11 +125,6 @@ impl QuaternionFilter {
     }
 
     #[inline(always)]
-    pub(super) fn heading(&self) -> f32 {
-        let [w, x, y, z] = self.q.to_array();
-        atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
-    }
-
     pub(super) fn attitude(&self) -> Quaternion<f32> {
         self.q
     }

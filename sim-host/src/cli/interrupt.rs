@@ -24,6 +24,13 @@ pub fn listen() {
     });
 }
 
+/// Ends the program after Ctrl-C, having said what has become of its work.
+pub fn end(said: &str) -> ! {
+    eprintln!("{said}");
+    output_file::remove_unfinished();
+    std::process::exit(INTERRUPTED);
+}
+
 /// From now on Ctrl-C sets this flag.
 pub fn flag() -> Arc<AtomicBool> {
     STOP.get_or_init(Arc::default).clone()

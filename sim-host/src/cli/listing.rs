@@ -39,7 +39,20 @@ pub fn plan(arguments: &PlanArguments) -> Result<Answer, InputError> {
     let total: f64 = costs.iter().map(|cost| cost.ns_per_step).sum();
     write!(text, "  {:<28}{total:>11.1}\n\n  left out: {}", "together", left_out.join(", "))
         .expect("a String takes everything");
+    let tolerances = scene.tolerances();
+    if !tolerances.is_empty() {
+        text.push_str("\n\n  drawn once a run");
+        for (name, how) in &tolerances {
+            write!(text, "\n  {name:<28}{how}").expect("a String takes everything");
+        }
+    }
+    let tolerances: Vec<_> =
+        tolerances.iter().map(|(name, how)| json!({ "name": name, "drawn": how })).collect();
     let effects: Vec<_> =
         costs.iter().map(|cost| json!({ "name": cost.name, "ns_per_step": cost.ns_per_step })).collect();
-    Ok(Answer { json: json!({ "effects": effects, "left_out": left_out }), text, failed: false })
+    Ok(Answer {
+        json: json!({ "effects": effects, "left_out": left_out, "tolerances": tolerances }),
+        text,
+        failed: false,
+    })
 }

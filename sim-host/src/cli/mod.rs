@@ -1,6 +1,7 @@
 //! The command line: arguments in, a result for people or for programs out.
 
 mod allan;
+mod campaign;
 mod cost;
 mod fly;
 mod hil;
@@ -10,12 +11,13 @@ mod paper;
 mod progress;
 mod recordings;
 
-use std::num::NonZeroU32;
+use std::num::{NonZeroU16, NonZeroU32};
 use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand, ValueEnum};
 use serde_json::Value;
+use sim_host::campaign::Shard;
 use sim_host::input_error::InputError;
 use sim_host::log;
 
@@ -42,6 +44,8 @@ struct Arguments {
 enum Command {
     /// Fly a scene in closed loop, judged on the truth
     Fly(FlyArguments),
+    /// Put the parts of a campaign together that `fly --runs --shard` has flown
+    Merge(MergeArguments),
     /// Fly a scene by the firmware, on an emulated board or a real one
     Hil(HilArguments),
     /// Sample the sensors of a scene, with truth columns
@@ -74,12 +78,37 @@ struct FlyArguments {
     /// Fly this many times, with seeds counting up
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u64).range(1..=1_000_000))]
     runs: u64,
+    /// Flights at a time; one for each core without this. The results do not depend on it
+    #[arg(long, value_name = "J", requires = "runs")]
+    jobs: Option<NonZeroU16>,
+    /// Fly part I of N of the runs: `merge` puts the parts together
+    #[arg(long, value_name = "I/N", requires_all = ["runs", "out"])]
+    shard: Option<Shard>,
+    /// Write the results of the runs, a row each
+    #[arg(long, value_name = "F.csv", requires = "runs")]
+    out: Option<PathBuf>,
+    /// Crashes that are let pass; exit code 1 for more of them
+    #[arg(long, value_name = "K", requires = "runs", default_value_t = 0)]
+    max_failures: u64,
     /// Write the sensor log, truth and pulses of the flight
     #[arg(long, value_name = "F.csv", conflicts_with = "runs")]
     log: Option<PathBuf>,
     /// Write a report with plots, readable in any browser without a network
     #[arg(long, value_name = "F.html", conflicts_with = "runs")]
     report: Option<PathBuf>,
+}
+
+#[derive(clap::Args)]
+struct MergeArguments {
+    /// The files that `fly --shard` has written, all of them, in any order
+    #[arg(required = true, value_name = "PART.csv")]
+    parts: Vec<PathBuf>,
+    /// Write the results of all runs: the bytes that `fly --out` writes without `--shard`
+    #[arg(long, value_name = "F.csv")]
+    out: Option<PathBuf>,
+    /// Crashes that are let pass; exit code 1 for more of them
+    #[arg(long, value_name = "K", default_value_t = 0)]
+    max_failures: u64,
 }
 
 #[derive(clap::Args)]
@@ -220,6 +249,7 @@ pub fn run() -> ExitCode {
     interrupt::listen();
     let answer = match &arguments.command {
         Command::Fly(a) => fly::run(a),
+        Command::Merge(a) => campaign::merge(a),
         Command::Hil(a) => hil::run(a),
         Command::Sense(a) => recordings::sense(a),
         Command::Estimate(a) => recordings::estimate(a),

@@ -1,7 +1,7 @@
 //! The study `estimator`: attitude from all three sensors.
 //!
 //! Every estimator gets the same samples: those of a recording, or those that a simulated flight's sensors gave,
-//! calibrated and through the scene's prefilter. As in [`crate::estimate`], `flight` has its gyroscope zeroed at rest, as
+//! calibrated, and through the scene's prefilter but for those that are low-passes themselves, as in flight. As in [`crate::estimate`], `flight` has its gyroscope zeroed at rest, as
 //! it has before arming, and the others take it as it is.
 
 use std::hint::black_box;
@@ -9,7 +9,7 @@ use std::path::Path;
 use std::time::Duration;
 
 use flight_core::calibration::{Calibration, SensorFields, SensorModel};
-use flight_core::estimator::{Estimator, EstimatorParams, Kinematics};
+use flight_core::estimator::{Estimator, EstimatorParams, Kinematics, Weight};
 use flight_core::geometry::{Quaternion, Vec3, vec3};
 use flight_core::prefilter::{Biquad, Prefilter};
 use nalgebra::{Quaternion as Parts, UnitQuaternion, Vector3};
@@ -38,6 +38,8 @@ const SCENES: [(&str, &str); 2] = [("steps", "simulated, steps"), ("shaky-frame"
 struct Record {
     problem: &'static str,
     samples: Vec<Sample>,
+    /// The same as a prefilter leaves them; `None` without one.
+    prefiltered: Option<Vec<Sample>>,
     truth: Vec<Option<Quaternion<f64>>>,
     /// What turns magnetic into true north, rad.
     declination_rad: f64,
@@ -66,7 +68,7 @@ enum Entrant {
 fn entrants() -> Vec<(&'static str, Entrant)> {
     let mut list: Vec<(&'static str, Entrant)> =
         EstimatorParams::PRESETS.iter().map(|&(name, params)| (name, Entrant::Ours(params))).collect();
-    let paper = EstimatorParams { kinematics: Kinematics::Quaternion, ..EstimatorParams::PAPER };
+    let paper = EstimatorParams::complementary(Kinematics::Quaternion, Weight::PAPER);
     list.push(("paper on a quaternion", Entrant::Ours(paper)));
     list.extend([("Mahony", Entrant::Mahony), ("Madgwick", Entrant::Madgwick), ("VQF", Entrant::Vqf)]);
     list
@@ -75,6 +77,17 @@ fn entrants() -> Vec<(&'static str, Entrant)> {
 /// Between forward-right-down and forward-left-up, and so between north-east-down and north-west-up.
 fn turned_over(v: Vec3<f32>) -> Vector3<f32> {
     Vector3::new(v.x, -v.y, -v.z)
+}
+
+impl Entrant {
+    /// Whether it needs no prefilter: see [`Estimator::is_a_low_pass`], which is as true of VQF.
+    fn is_a_low_pass(self) -> bool {
+        match self {
+            Self::Ours(params) => Estimator::new(&params).is_ok_and(|estimator| estimator.is_a_low_pass()),
+            Self::Mahony | Self::Madgwick => false,
+            Self::Vqf => true,
+        }
+    }
 }
 
 impl Filter {
@@ -151,6 +164,7 @@ fn recording(directory: &Path, file: &str, problem: &'static str) -> Result<Reco
     Ok(Record {
         problem,
         samples: estimate::samples(&log, &request)?,
+        prefiltered: None,
         truth: truth.collect(),
         declination_rad: 0.0,
     })
@@ -171,11 +185,18 @@ impl Observer for Writer {
         let [gyro_filter, accel_filter, mag_filter] = &mut self.prefilters;
         let dt_us = self.last_us.map_or(0, |last| view.time_us - last);
         self.last_us = Some(view.time_us);
-        self.record.samples.push(Sample {
-            gyro: gyro_filter.step(gyro.apply(imu.gyro)),
-            accel: accel_filter.step(accel.apply(imu.accel)),
-            mag: view.input.mag.map(|field| mag_filter.step(mag.apply(field.counts))),
+        let sample = Sample {
+            gyro: gyro.apply(imu.gyro),
+            accel: accel.apply(imu.accel),
+            mag: view.input.mag.map(|field| mag.apply(field.counts)),
             dt_s: dt_us as f32 * 1e-6,
+        };
+        self.record.samples.push(sample);
+        self.record.prefiltered.get_or_insert_default().push(Sample {
+            gyro: gyro_filter.step(sample.gyro),
+            accel: accel_filter.step(sample.accel),
+            mag: sample.mag.map(|field| mag_filter.step(field)),
+            ..sample
         });
         // What counts is the flight, not the lying still before and after.
         self.record.truth.push(view.output.driven.then_some(view.truth.attitude));
@@ -205,6 +226,7 @@ fn flown(name: &str, problem: &'static str) -> Result<Record, InputError> {
         record: Record {
             problem,
             samples: Vec::new(),
+            prefiltered: None,
             truth: Vec::new(),
             declination_rad: f64::from(p.estimator.declination_rad),
         },
@@ -247,9 +269,14 @@ pub fn study(options: &Options, progress: Progress) -> Result<Study, InputError>
     let default = Scene::load("hover")?.config.params.estimator;
     let mut settings = Vec::new();
     for (n, record) in records.iter().enumerate() {
-        let zeroed = GyroAtRest::learn(&record.samples).zero(&record.samples);
+        let prefiltered = record.prefiltered.as_deref().unwrap_or(&record.samples);
+        let zeroed = GyroAtRest::learn(prefiltered).zero(prefiltered);
         for (k, &(name, entrant)) in entrants.iter().enumerate() {
-            let samples = if name == "flight" { &zeroed } else { &record.samples };
+            let samples = match name {
+                "flight" => &zeroed,
+                _ if entrant.is_a_low_pass() => &record.samples[..],
+                _ => prefiltered,
+            };
             let figure = m4::figure(&format!("estimator {name} 9-axis"));
             // A second's worth of the recording is timed; making a filter costs next to nothing beside it.
             let few = &samples[..samples.len().min(2000)];
@@ -304,7 +331,8 @@ pub fn study(options: &Options, progress: Progress) -> Result<Study, InputError>
         name: "estimator",
         title: "Estimators of attitude",
         about: "The error is that of the whole attitude, RMSE over all samples in motion. All get the same samples, \
-                those of the simulated flights through the scene's prefilter of 30 Hz; `flight` has its gyroscope zeroed at rest, as it has before arming, the others \
+                those of the simulated flights through the scene's prefilter of 30 Hz, but for `robust` and VQF, which are \
+                low-passes themselves; `flight` has its gyroscope zeroed at rest, as it has before arming, the others \
                 take it as it is. Mahony, Madgwick and VQF are those of the crate uf-ahrs with their default \
                 parameters."
             .into(),

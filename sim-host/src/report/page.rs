@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 
 use flight_core::ArmState;
-use flight_core::estimator::{EstimatorParams, Weight};
+use flight_core::estimator::{EstimatorParams, Method, RobustParams, Weight};
 
 use super::figures;
 use super::recorder::Recorder;
@@ -28,7 +28,7 @@ pub fn page(scene: &Scene, seed: u64, outcome: &Outcome, recorder: &Recorder) ->
     );
     header(&mut html, scene, seed, outcome);
     cards(&mut html, scene, outcome);
-    simulated(&mut html, scene);
+    simulated(&mut html, scene, seed);
     for figure in figures::all(scene, outcome, recorder) {
         let _ = write!(
             html,
@@ -97,7 +97,7 @@ fn cards(html: &mut String, scene: &Scene, outcome: &Outcome) {
     html.push_str("</dl>\n");
 }
 
-fn simulated(html: &mut String, scene: &Scene) {
+fn simulated(html: &mut String, scene: &Scene, seed: u64) {
     html.push_str("<h2>What was simulated</h2>\n<table>\n");
     let mut row = |name: &str, value: &str| {
         let _ = writeln!(html, "<tr><th scope=\"row\">{name}</th><td>{value}</td></tr>");
@@ -124,6 +124,14 @@ fn simulated(html: &mut String, scene: &Scene) {
     let effects = scene.effects();
     let list: String = effects.iter().map(|name| format!("<code>{}</code> ", escaped(name))).collect();
     row("Effects, in order", if effects.is_empty() { "none" } else { list.trim_end() });
+    let (_, drawn) = scene.of_run(seed);
+    if !drawn.is_empty() {
+        let list: String = drawn
+            .iter()
+            .map(|(name, value)| format!("<code>{}</code> {value:.4e}<br>", escaped(name)))
+            .collect();
+        row("Drawn for this run", &list);
+    }
     html.push_str("</table>\n");
 }
 
@@ -152,9 +160,17 @@ fn estimator_text(scene: &Scene) -> String {
         EstimatorParams { declination_rad: params.estimator.declination_rad, ..*preset } == params.estimator
     };
     let name = EstimatorParams::PRESETS.iter().find(|preset| same(preset)).map_or("own", |(name, _)| *name);
-    let weight = match params.estimator.weight {
-        Weight::TimeConstant { tau_s } => format!("τ = {} s", number(f64::from(tau_s), 4, "")),
-        Weight::Fixed { alpha } => format!("α = {}", number(f64::from(alpha), 4, "")),
+    let seconds = |tau_s: f32| number(f64::from(tau_s), 4, " s");
+    let weight = match params.estimator.method {
+        Method::Complementary { weight: Weight::TimeConstant { tau_s }, .. } => {
+            format!("τ = {}", seconds(tau_s))
+        }
+        Method::Complementary { weight: Weight::Fixed { alpha }, .. } => {
+            format!("α = {}", number(f64::from(alpha), 4, ""))
+        }
+        Method::Robust(RobustParams { tilt_tau_s, heading_tau_s }) => {
+            format!("τ = {} (tilt), {} (heading)", seconds(tilt_tau_s), seconds(heading_tau_s))
+        }
     };
     let prefilter =
         params.prefilter_cutoff_hz.map_or("no prefilter".into(), |hz| format!("prefilter {hz} Hz"));

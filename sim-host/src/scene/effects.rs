@@ -8,9 +8,9 @@ use crate::effects::delivery::{BoxedDelivery, ImuEffect, Latency, Loss, MagEffec
 use crate::effects::sensor::{
     AccelBiasInstability, AccelConstantBias, AccelQuantization, AccelRateRamp, AccelRateRandomWalk,
     AccelSaturation, AccelTemperature, AccelTurnOnBias, AccelVibration, AccelWhiteNoise, Bandwidth,
-    Disturbance, GSensitivity, GyroBiasInstability, GyroConstantBias, GyroQuantization, GyroRateRamp,
-    GyroRateRandomWalk, GyroSaturation, GyroTemperature, GyroTurnOnBias, GyroVibration, GyroWhiteNoise,
-    HardIron, LeverArm, MagWhiteNoise, Misalignment, MotorCurrent, ScaleFactor, SoftIron,
+    Disturbance, GSensitivity, GyroBiasInstability, GyroBiasStep, GyroConstantBias, GyroQuantization,
+    GyroRateRamp, GyroRateRandomWalk, GyroSaturation, GyroTemperature, GyroTurnOnBias, GyroVibration,
+    GyroWhiteNoise, HardIron, LeverArm, MagWhiteNoise, Misalignment, MotorCurrent, ScaleFactor, SoftIron,
 };
 use crate::effects::vehicle::{
     BatterySag, CgOffset, ConstantWind, Dryden, EscDelay, EscQuantization, GroundEffect, LinearDrag,
@@ -28,7 +28,7 @@ macro_rules! effect_table {
         #[derive(Clone, Debug, Default, Deserialize)]
         #[serde(deny_unknown_fields)]
         pub struct $table {
-            $($key: Option<$recipe>,)+
+            $(pub(super) $key: Option<$recipe>,)+
         }
 
         impl $table {
@@ -134,6 +134,7 @@ effect_table! {
         temperature: GyroTemperature,
         constant_bias: GyroConstantBias,
         turn_on_bias: GyroTurnOnBias,
+        bias_step: GyroBiasStep,
         rate_ramp: GyroRateRamp,
         rate_random_walk: GyroRateRandomWalk,
         bias_instability: GyroBiasInstability,

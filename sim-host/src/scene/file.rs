@@ -7,6 +7,7 @@ use serde::Deserialize;
 use super::check::{unknown, within};
 use super::effects::Effects;
 use super::faults::Fault;
+use super::tolerances::Tolerances;
 use crate::earth_field::Place;
 use crate::input_error::InputError;
 use crate::pilot::{Base, Move, PilotScript, Plan};
@@ -26,6 +27,8 @@ pub(super) struct SceneFile {
     pub effects: Effects,
     #[serde(default, rename = "fault")]
     pub faults: Vec<Fault>,
+    #[serde(default)]
+    pub tolerances: Tolerances,
 }
 
 /// `[scene]`

@@ -1,8 +1,8 @@
 //! What a scene says: a TOML file, read, checked, and turned into the parts of a flight.
 //!
 //! A scene names the vehicle, the sensors, the pilot and the effects. **An effect that it does not name is
-//! not built.** Every key that exists is in `file.rs` and `effects.rs`; anything else is an error that names
-//! the nearest one.
+//! not built.** Every key that exists is in `file.rs`, `effects.rs` and `tolerances.rs`; anything else is an error
+//! that names the nearest one.
 
 mod built_in;
 pub(crate) mod check;
@@ -11,7 +11,9 @@ mod faults;
 mod file;
 mod imu;
 mod source;
+mod tolerances;
 
+use std::borrow::Cow;
 use std::path::Path;
 
 use flight_core::FlightController;
@@ -25,7 +27,7 @@ use flight_core::sample::RcFrame;
 use crate::earth_field::{Place, declination_rad};
 use crate::effects::Build;
 use crate::effects::delivery::{BoxedDelivery, ImuEffect, MagEffect};
-use crate::effects::vehicle::VehicleEffect;
+use crate::effects::vehicle::{ThrustShares, VehicleEffect};
 use crate::input_error::InputError;
 use crate::pilot::{Knowledge, PilotScript};
 use crate::sensors::{Converter, Sensor, Sensors};
@@ -37,6 +39,7 @@ use toml::Spanned;
 use toml::de::DeValue;
 
 pub use built_in::{BUILT_IN, BuiltIn};
+pub use tolerances::Drawn;
 
 /// Steps of the simulation, and samples of gyroscope and accelerometer, per second.
 pub const DEFAULT_RATE_HZ: u32 = 1000;
@@ -118,8 +121,13 @@ pub struct Scene {
     pub converters: [Converter; 3],
     /// The Earth's field at the scene's place and date, north, east, down, µT.
     pub field_ut: Vec3<f64>,
+    /// Hash of the texts that the scene was put together from.
+    pub text_hash: u64,
     effects: effects::Effects,
     faults: Vec<faults::Fault>,
+    tolerances: tolerances::Tolerances,
+    /// Thrust of each rotor beside the vehicle's coefficient; only in the scene of a run.
+    thrust_shares: Option<[f64; 4]>,
 }
 
 impl Scene {
@@ -170,12 +178,18 @@ impl Scene {
         if let Some(DeValue::Table(effects)) = table.get_mut("effects").map(Spanned::get_mut) {
             complete(effects, &figures);
         }
+        let text_hash = sources.hash();
         let file: file::SceneFile = sources.read(table)?;
-        Self::build(name, file, &preset).map_err(|error| error.file(name))
+        Self::build(name, file, &preset, text_hash).map_err(|error| error.file(name))
     }
 
-    fn build(name: &str, file: file::SceneFile, preset: &ImuPreset) -> Result<Self, InputError> {
-        let file::SceneFile { scene, flight, pilot, effects, faults, .. } = file;
+    fn build(
+        name: &str,
+        file: file::SceneFile,
+        preset: &ImuPreset,
+        text_hash: u64,
+    ) -> Result<Self, InputError> {
+        let file::SceneFile { scene, flight, pilot, effects, faults, tolerances, .. } = file;
         let vehicle = scene.vehicle.build()?;
         effects.validate()?;
         faults.iter().try_for_each(faults::Fault::validate)?;
@@ -200,10 +214,14 @@ impl Scene {
             controller,
             converters,
             field_ut,
+            text_hash,
             effects,
             faults,
+            tolerances,
+            thrust_shares: None,
         };
         built.set_duration(scene.duration_s)?;
+        built.tolerances.validate(&built)?;
         Ok(built)
     }
 
@@ -256,6 +274,24 @@ impl Scene {
         self.effects.named().into_iter().chain(faults::named(&self.faults))
     }
 
+    /// The scene as the run with this seed flies it, with what its tolerances have drawn in place of the scene's
+    /// figures; and what they have drawn. Flight code and pilot know nothing of it.
+    pub fn of_run(&self, seed: u64) -> (Cow<'_, Self>, Drawn) {
+        if self.tolerances.is_empty() {
+            return (Cow::Borrowed(self), Drawn::new());
+        }
+        let mut scene = self.clone();
+        let drawn = self.tolerances.apply(&mut scene, seed);
+        // Drawn once.
+        scene.tolerances = tolerances::Tolerances::default();
+        (Cow::Owned(scene), drawn)
+    }
+
+    /// The quantities that are drawn for each run, and how.
+    pub fn tolerances(&self) -> Vec<(&'static str, String)> {
+        self.tolerances.described()
+    }
+
     /// How the vehicle is held.
     pub fn mount(&self) -> Mount {
         if self.ball_joint { Mount::BallJoint } else { Mount::Free(Ground::new(&self.vehicle)) }
@@ -269,6 +305,10 @@ impl Scene {
     pub fn vehicle_effects(&self, seed: u64, rate_hz: f64) -> Vec<(&'static str, VehicleEffect)> {
         let with = self.build_at(seed, rate_hz);
         let mut list = self.effects.wind.build(with);
+        if let Some(shares) = self.thrust_shares {
+            let name = "tolerances.thrust_coefficient_n_s2";
+            list.push((name, VehicleEffect::Thrust(Box::new(ThrustShares(shares)))));
+        }
         list.extend(self.effects.vehicle.build(with));
         list
     }

@@ -7,6 +7,7 @@
 use serde::de::DeserializeOwned;
 use toml::Spanned;
 use toml::de::{DeTable, DeValue, Deserializer};
+use xxhash_rust::xxh3::xxh3_64;
 
 use super::check::with_suggestion;
 use crate::input_error::InputError;
@@ -34,6 +35,14 @@ impl<'a> Sources<'a> {
     pub fn read<T: DeserializeOwned>(&self, table: DeTable<'a>) -> Result<T, InputError> {
         T::deserialize(Deserializer::from(Spanned::new(0..0, table)))
             .map_err(|error| self.error(error.message(), error.span().map(|span| span.start)))
+    }
+
+    /// Hash of all texts, each with its length, so that a line which moves from one to the next is seen.
+    pub fn hash(&self) -> u64 {
+        self.texts.iter().fold(0, |hash, (_, text, _)| {
+            let lengths = [hash, text.len() as u64].map(u64::to_le_bytes).concat();
+            xxh3_64(&[&lengths, text.as_bytes()].concat())
+        })
     }
 
     fn error(&self, message: &str, at: Option<usize>) -> InputError {

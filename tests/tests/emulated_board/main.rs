@@ -86,13 +86,14 @@ fn steps_on_the_host() -> Vec<Words> {
 }
 
 /// The stages that have a budget.
-const STAGES: [&str; 11] = [
+const STAGES: [&str; 12] = [
     "calibration of 3 sensors",
     "9 prefilters",
     "first sample of 9 prefilters",
     "8 biquads one by one",
     "estimator paper 9-axis",
     "estimator flight 9-axis",
+    "estimator robust 9-axis",
     "control",
     "mixer and ESC",
     "sticks",

@@ -5,6 +5,7 @@
 
 mod bandwidth;
 mod bias_instability;
+mod bias_step;
 mod constant_bias;
 mod disturbance;
 mod g_sensitivity;
@@ -27,6 +28,7 @@ mod white_noise;
 
 pub use bandwidth::Bandwidth;
 pub use bias_instability::{AccelBiasInstability, GyroBiasInstability};
+pub use bias_step::GyroBiasStep;
 pub use constant_bias::{AccelConstantBias, GyroConstantBias};
 pub use disturbance::Disturbance;
 pub use g_sensitivity::GSensitivity;

@@ -105,6 +105,16 @@ pub trait BodyEffect: Send {
     }
 }
 
+/// Rotors of their own: the share of the vehicle's thrust coefficient that each has. It is drawn, not named:
+/// see [`crate::scene`]'s tolerances.
+pub struct ThrustShares(pub [f64; 4]);
+
+impl ThrustEffect for ThrustShares {
+    fn apply(&self, thrusts: &mut [f64; 4], _: &Stage) {
+        thrusts.iter_mut().zip(self.0).for_each(|(thrust, share)| *thrust *= share);
+    }
+}
+
 /// A vehicle effect of any kind, as built.
 pub enum VehicleEffect {
     /// On the command.

@@ -1,0 +1,446 @@
+//! `[tolerances]`: by how much a vehicle and its sensors may differ from what the scene says.
+//!
+//! Every run of a scene flies a vehicle of its own, drawn once from these. The flight code and the pilot know only
+//! the scene's figures, as somebody who builds a dozen vehicles from one parts list does.
+//!
+//! | key | what is drawn | of which |
+//! |---|---|---|
+//! | `uniform` | anything within ± this, in the unit of the quantity | each value as likely |
+//! | `normal` | the same | normal with σ a third of this; a draw beyond it is drawn again |
+//! | `uniform_percent`, `normal_percent` | the same | ± this share of the scene's figure |
+//!
+//! A quantity that is not named is not drawn. Each draws from streams of its own, one an axis or rotor, seeded by
+//! (seed of the run, quantity, axis): naming one moves no other draw, and `--seed` alone brings a run back.
+
+use flight_core::geometry::vec3;
+use serde::Deserialize;
+
+use super::{Scene, check};
+use crate::effects::sensor::{HardIron, Misalignment, ScaleFactor};
+use crate::effects::vehicle::CgOffset;
+use crate::input_error::InputError;
+use crate::random::{NormalStream, UniformStream};
+
+/// A bound and a distribution: exactly one of the four keys.
+#[derive(Clone, Copy, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Tolerance {
+    uniform: Option<f64>,
+    normal: Option<f64>,
+    uniform_percent: Option<f64>,
+    normal_percent: Option<f64>,
+}
+
+/// Deviations of a normal draw within its bound.
+const SIGMAS: f64 = 3.0;
+
+/// Largest share of the scene's figure, %.
+const MOST_PERCENT: f64 = 50.0;
+
+impl Tolerance {
+    const KEYS: [&str; 4] = ["uniform", "normal", "uniform_percent", "normal_percent"];
+
+    fn values(&self) -> [Option<f64>; 4] {
+        [self.uniform, self.normal, self.uniform_percent, self.normal_percent]
+    }
+
+    fn is_normal(&self) -> bool {
+        self.normal.is_some() || self.normal_percent.is_some()
+    }
+
+    /// The bound around this figure, in its unit.
+    fn bound(&self, figure: f64) -> f64 {
+        let percent = self.uniform_percent.or(self.normal_percent);
+        let absolute = self.uniform.or(self.normal);
+        absolute.or(percent.map(|percent| percent * 0.01 * figure)).unwrap_or(0.0)
+    }
+
+    /// For people: `normal ±3 %`.
+    fn text(&self, unit: &str) -> String {
+        let distribution = if self.is_normal() { "normal" } else { "uniform" };
+        let (bound, unit) = match (self.uniform.or(self.normal), self.uniform_percent.or(self.normal_percent))
+        {
+            (Some(bound), _) => (bound, unit),
+            (None, percent) => (percent.unwrap_or(0.0), "%"),
+        };
+        format!("{distribution} ±{bound} {unit}")
+    }
+
+    /// A deviation from this figure, drawn for one axis of a run.
+    fn draw(&self, quantity: &str, seed: u64, axis: usize, figure: f64) -> f64 {
+        let stream = format!("tolerances.{quantity}");
+        let share = if self.is_normal() {
+            let mut stream = NormalStream::new(seed, &stream, axis);
+            // One draw in 370 is beyond.
+            let within = std::iter::repeat_with(|| stream.draw()).find(|x| x.abs() <= SIGMAS);
+            within.unwrap_or(0.0) / SIGMAS
+        } else {
+            2.0 * UniformStream::new(seed, &stream, axis).draw() - 1.0
+        };
+        share * self.bound(figure)
+    }
+}
+
+/// What may be named.
+struct Quantity {
+    name: &'static str,
+    unit: &'static str,
+    /// What its axes or rotors are called.
+    axes: &'static [&'static str],
+    /// The largest absolute bound, where the scene has no figure to measure it by; else it is half of the figure.
+    largest: Option<f64>,
+    /// The scene's figures, one an axis; zero for what comes on top of an error.
+    figures: fn(&Scene) -> Vec<f64>,
+    /// Puts what was drawn in their place, or on top of the error.
+    set: fn(&mut Scene, &[f64]),
+}
+
+const ONE: &[&str] = &[""];
+const AXES: &[&str] = &[".x", ".y", ".z"];
+/// Thrust is along z: how far down the centre of gravity is turns nothing.
+const LEVEL: &[&str] = &[".x", ".y"];
+const ROTORS: &[&str] = &[".1", ".2", ".3", ".4"];
+
+macro_rules! tolerances {
+    ($($(#[$doc:meta])* $key:ident: $unit:literal, $axes:ident, $largest:expr, $figures:expr, $set:expr;)+) => {
+        /// `[tolerances]`
+        #[derive(Clone, Debug, Default, Deserialize)]
+        #[serde(deny_unknown_fields)]
+        pub(super) struct Tolerances {
+            $($(#[$doc])* $key: Option<Tolerance>,)+
+        }
+
+        impl Tolerances {
+            fn named(&self) -> Vec<(Quantity, Tolerance)> {
+                let mut list = Vec::new();
+                $(if let Some(tolerance) = self.$key {
+                    let (name, unit, axes, largest) = (stringify!($key), $unit, $axes, $largest);
+                    list.push((
+                        Quantity { name, unit, axes, largest, figures: $figures, set: $set },
+                        tolerance,
+                    ));
+                })+
+                list
+            }
+        }
+    };
+}
+
+tolerances! {
+    /// m.
+    mass_kg: "kg", ONE, None, |s| vec![s.vehicle.mass_kg], |s, drawn| s.vehicle.mass_kg = drawn[0];
+    /// I_xx, I_yy and I_zz, each by itself.
+    inertia_kg_m2: "kg m²", AXES, None,
+        |s| <[f64; 3]>::from(s.vehicle.inertia_kg_m2).into(),
+        |s, drawn| s.vehicle.inertia_kg_m2 = vec3(drawn[0], drawn[1], drawn[2]);
+    /// J_r of all rotors.
+    rotor_inertia_kg_m2: "kg m²", ONE, None,
+        |s| vec![s.vehicle.rotor_inertia_kg_m2], |s, drawn| s.vehicle.rotor_inertia_kg_m2 = drawn[0];
+    /// l.
+    arm_m: "m", ONE, None, |s| vec![s.vehicle.arm_m], |s, drawn| s.vehicle.arm_m = drawn[0];
+    /// b, each rotor by itself.
+    thrust_coefficient_n_s2: "N s²", ROTORS, None,
+        |s| vec![s.vehicle.thrust_coefficient; 4],
+        |s, drawn| s.thrust_shares = Some([0, 1, 2, 3].map(|i| drawn[i] / s.vehicle.thrust_coefficient));
+    /// d of all rotors.
+    torque_coefficient_n_m_s2: "N m s²", ONE, None,
+        |s| vec![s.vehicle.torque_coefficient], |s, drawn| s.vehicle.torque_coefficient = drawn[0];
+    /// τ of all rotors; a τ of its own for slowing down changes by the same factor.
+    motor_lag_tau_s: "s", ONE, None,
+        |s| s.effects.vehicle.motor_lag.iter().map(|lag| lag.tau_s).collect(),
+        |s, drawn| if let Some(lag) = &mut s.effects.vehicle.motor_lag {
+            let factor = drawn[0] / lag.tau_s;
+            lag.tau_s = drawn[0];
+            lag.tau_down_s = lag.tau_down_s.map(|tau_s| tau_s * factor);
+        };
+    /// Where the centre of gravity is, on top of the scene's own offset.
+    cg_offset_m: "m", LEVEL, Some(0.1), |_| vec![0.0; 2],
+        |s, drawn| {
+            let none = CgOffset { offset_m: [0.0; 3] };
+            add(&mut s.effects.vehicle.cg_offset.get_or_insert(none).offset_m, drawn);
+        };
+    /// Scale factor of the gyroscope, on top of the scene's own.
+    gyro_scale_ppm: "ppm", AXES, Some(1e5), |_| vec![0.0; 3],
+        |s, drawn| {
+            let none = ScaleFactor { error_ppm: [0.0; 3] };
+            add(&mut s.effects.gyro.scale_factor.get_or_insert(none).error_ppm, drawn);
+        };
+    /// Scale factor of the accelerometer, on top of the scene's own.
+    accel_scale_ppm: "ppm", AXES, Some(1e5), |_| vec![0.0; 3],
+        |s, drawn| {
+            let none = ScaleFactor { error_ppm: [0.0; 3] };
+            add(&mut s.effects.accel.scale_factor.get_or_insert(none).error_ppm, drawn);
+        };
+    /// How the chip of gyroscope and accelerometer is turned on the board, on top of the scene's own: one draw for
+    /// both.
+    imu_mounting_mrad: "mrad", AXES, Some(100.0), |_| vec![0.0; 3],
+        |s, drawn| {
+            for misalignment in [&mut s.effects.gyro.misalignment, &mut s.effects.accel.misalignment] {
+                let none = Misalignment { mounting_mrad: [0.0; 3], non_orthogonality_mrad: [0.0; 3] };
+                add(&mut misalignment.get_or_insert(none).mounting_mrad, drawn);
+            }
+        };
+    /// Hard iron that has come since the calibration, on top of the scene's own.
+    mag_hard_iron_ut: "µT", AXES, Some(1e3), |_| vec![0.0; 3],
+        |s, drawn| {
+            let none = HardIron { field_ut: [0.0; 3] };
+            add(&mut s.effects.mag.hard_iron.get_or_insert(none).field_ut, drawn);
+        };
+}
+
+fn add(to: &mut [f64; 3], drawn: &[f64]) {
+    to.iter_mut().zip(drawn).for_each(|(to, drawn)| *to += drawn);
+}
+
+/// What was drawn for a run: names such as `inertia_kg_m2.x`, and the figures that fly. Of what comes on top of the
+/// scene's own error it is what was drawn.
+pub type Drawn = Vec<(String, f64)>;
+
+impl Tolerances {
+    pub fn is_empty(&self) -> bool {
+        self.named().is_empty()
+    }
+
+    /// Every quantity that is named, and how it is drawn, for people.
+    pub fn described(&self) -> Vec<(&'static str, String)> {
+        self.named().into_iter().map(|(quantity, t)| (quantity.name, t.text(quantity.unit))).collect()
+    }
+
+    /// Checks the bounds against the scene that they stand in.
+    pub fn validate(&self, scene: &Scene) -> Result<(), InputError> {
+        for (Quantity { name, unit, largest, figures, .. }, tolerance) in self.named() {
+            let field = format!("tolerances.{name}");
+            let given = tolerance.values();
+            let [(key, value)] = Tolerance::KEYS
+                .into_iter()
+                .zip(given)
+                .filter_map(|(key, value)| Some((key, value?)))
+                .collect::<Vec<_>>()[..]
+            else {
+                return Err(InputError::new(format!(
+                    "must have exactly one of {}",
+                    Tolerance::KEYS.join(", ")
+                ))
+                .field(field));
+            };
+            let figures = figures(scene);
+            if figures.is_empty() {
+                return Err(
+                    InputError::new("the scene has no lag: name effects.vehicle.motor_lag").field(field)
+                );
+            }
+            let field = format!("{field}.{key}");
+            match (key.ends_with("_percent"), largest) {
+                (true, Some(_)) => {
+                    return Err(InputError::new(
+                        "must be uniform or normal: there is no figure to take a share of",
+                    )
+                    .field(field)
+                    .value(value));
+                }
+                (true, None) => check::within(&field, value, 0.0, MOST_PERCENT, "%")?,
+                (false, Some(largest)) => check::within(&field, value, 0.0, largest, unit)?,
+                (false, None) => {
+                    let smallest = figures.iter().copied().fold(f64::INFINITY, f64::min);
+                    check::within(&field, value, 0.0, 0.01 * MOST_PERCENT * smallest, unit)?;
+                }
+            }
+        }
+        self.body_exists(scene)
+    }
+
+    /// No body has a moment of inertia above the sum of the other two: ∫(y² + z²) ≤ ∫(x² + z²) + ∫(x² + y²).
+    fn body_exists(&self, scene: &Scene) -> Result<(), InputError> {
+        let Some(tolerance) = self.inertia_kg_m2 else { return Ok(()) };
+        let moments = <[f64; 3]>::from(scene.vehicle.inertia_kg_m2);
+        let sum = |end: f64| moments.map(|moment| moment + end * tolerance.bound(moment));
+        let (low, high) = (sum(-1.0), sum(1.0));
+        for i in 0..3 {
+            let others = low[(i + 1) % 3] + low[(i + 2) % 3];
+            if high[i] > others {
+                return Err(InputError::new(format!(
+                    "must be less: {} kg m² about {} may come with {others} about the other two together, and no body has more \
+                     about one than about both others",
+                    high[i],
+                    ["x", "y", "z"][i],
+                ))
+                .field("tolerances.inertia_kg_m2"));
+            }
+        }
+        Ok(())
+    }
+
+    /// Makes of a scene that of one run, and says what was drawn.
+    pub fn apply(&self, scene: &mut Scene, seed: u64) -> Drawn {
+        let mut all = Vec::new();
+        for (Quantity { name, axes, figures, set, .. }, tolerance) in self.named() {
+            let drawn: Vec<f64> = figures(scene)
+                .into_iter()
+                .enumerate()
+                .map(|(axis, figure)| figure + tolerance.draw(name, seed, axis, figure))
+                .collect();
+            set(scene, &drawn);
+            all.extend(axes.iter().zip(drawn).map(|(axis, value)| (format!("{name}{axis}"), value)));
+        }
+        all
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::flight::Flight;
+
+    const BARE: &str = "include = \"hover\"\n[tolerances]\n";
+
+    fn scene(lines: &str) -> Scene {
+        Scene::parse("spread", &format!("{BARE}{lines}\n")).unwrap()
+    }
+
+    /// Every quantity, with this bound and distribution, `percent` where it has a figure.
+    fn every(bound: f64, distribution: &str) -> String {
+        [
+            ("mass_kg", "_percent"),
+            ("inertia_kg_m2", "_percent"),
+            ("rotor_inertia_kg_m2", "_percent"),
+            ("arm_m", "_percent"),
+            ("thrust_coefficient_n_s2", "_percent"),
+            ("torque_coefficient_n_m_s2", "_percent"),
+            ("motor_lag_tau_s", "_percent"),
+            ("cg_offset_m", ""),
+            ("gyro_scale_ppm", ""),
+            ("accel_scale_ppm", ""),
+            ("imu_mounting_mrad", ""),
+            ("mag_hard_iron_ut", ""),
+        ]
+        .map(|(name, suffix)| {
+            let bound = if name == "cg_offset_m" { bound * 1e-3 } else { bound };
+            format!("{name} = {{ {distribution}{suffix} = {bound} }}\n")
+        })
+        .concat()
+    }
+
+    fn drawn(scene: &Scene, seed: u64) -> Drawn {
+        scene.of_run(seed).1
+    }
+
+    #[test]
+    fn every_quantity_is_drawn_within_its_bound_and_reaches_it() {
+        for distribution in ["uniform", "normal"] {
+            let scene = scene(&every(5.0, distribution));
+            let middle = drawn(&self::scene(&every(0.0, distribution)), 0);
+            assert_eq!(middle.len(), 26);
+            let (mut least, mut most) = (vec![f64::INFINITY; 26], vec![f64::NEG_INFINITY; 26]);
+            for seed in 0..3_000 {
+                for (i, (_, value)) in drawn(&scene, seed).into_iter().enumerate() {
+                    (least[i], most[i]) = (least[i].min(value), most[i].max(value));
+                }
+            }
+            for (i, (name, figure)) in middle.iter().enumerate() {
+                let bound = match name.as_str() {
+                    name if name.starts_with("cg_offset_m") => 5e-3,
+                    _ if *figure == 0.0 => 5.0,
+                    _ => 0.05 * figure,
+                };
+                // Of 3,000 draws some 20 are between 2.4 and 3 σ.
+                for end in [figure - least[i], most[i] - figure] {
+                    assert!(end <= bound * (1.0 + 1e-12) && end > 0.8 * bound, "{name}: {end} of {bound}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn distributions_have_the_deviations_that_they_state() {
+        // Uniform on ±b: b/√3. Normal with σ = b/3 cut at 3 σ: 0.9866 σ, as 1 − 2·3 φ(3)/(2Φ(3) − 1) of σ².
+        for (distribution, of_bound) in [("uniform", 1.0 / libm::sqrt(3.0)), ("normal", 0.986_6 / 3.0)] {
+            let scene = scene(&format!("mass_kg = {{ {distribution} = 0.065 }}"));
+            let runs = 20_000;
+            let mut squares = 0.0;
+            for seed in 0..runs {
+                let [(_, mass_kg)] = drawn(&scene, seed)[..] else { panic!("one quantity") };
+                squares += (mass_kg - 0.65) * (mass_kg - 0.65);
+            }
+            let deviation = libm::sqrt(squares / runs as f64) / 0.065;
+            // Five standard errors of a deviation from 20,000 draws: 5/√40,000.
+            assert!((deviation / of_bound - 1.0).abs() < 0.025, "{distribution}: {deviation}");
+        }
+    }
+
+    #[test]
+    fn a_quantity_moves_no_other_draw_and_no_effect() {
+        let lines = every(5.0, "normal");
+        let all = drawn(&scene(&lines), 7);
+        for line in lines.lines() {
+            let alone = drawn(&scene(line), 7);
+            assert!(!alone.is_empty());
+            assert!(alone.iter().all(|one| all.contains(one)), "{line}");
+        }
+        // Nothing drawn is nothing changed, though all its effects are there: the noise is that of the scene itself.
+        let nothing = scene(&every(0.0, "uniform"));
+        let [nothing, hover] =
+            [&nothing, &Scene::load("hover").unwrap()].map(|scene| Flight::new(scene, 7).run(&mut ()));
+        assert_eq!(nothing, hover);
+        // And what is drawn flies.
+        assert_ne!(Flight::new(&scene("arm_m = { uniform = 0.01 }"), 7).run(&mut ()).digest, hover.digest);
+    }
+
+    #[test]
+    fn flight_code_and_pilot_know_only_the_scenes_figures() {
+        let scene = scene(&every(5.0, "uniform"));
+        let of_run = scene.of_run(3).0;
+        assert_eq!(of_run.config.params.airframe, scene.config.params.airframe);
+        assert_ne!(of_run.vehicle, scene.vehicle);
+    }
+
+    #[test]
+    fn rotors_pull_with_their_own_thrust_and_turn_with_the_same_torque() {
+        let scene = scene("thrust_coefficient_n_s2 = { uniform_percent = 10 }");
+        let (of_run, drawn) = scene.of_run(11);
+        let mut vehicle = crate::vehicle::Vehicle::at_rest(
+            of_run.vehicle,
+            of_run.mount(),
+            of_run.vehicle_effects(11, 1e3),
+            1e-3,
+        );
+        let high = crate::vehicle::State { position: vec3(0.0, 0.0, -100.0), ..*vehicle.state() };
+        let speed = 200.0;
+        vehicle.set_state(high, [speed; 4]);
+        let [b1, b2, b3, b4] = [0, 1, 2, 3].map(|i| drawn[i].1);
+        // Eqs 4-7: lift, roll, pitch and yaw of four rotors of their own.
+        let square = speed * speed;
+        let lift = -(b1 + b2 + b3 + b4) * square / 0.65;
+        let lever = 0.23 * std::f64::consts::FRAC_1_SQRT_2;
+        let roll = lever * (b1 - b2 - b3 + b4) * square / 7.5e-3;
+        let pitch = lever * (b1 + b2 - b3 - b4) * square / 7.5e-3;
+        let turn = vehicle.angular_acceleration();
+        assert!((vehicle.specific_force().z / lift - 1.0).abs() < 1e-12);
+        assert!((turn.x / roll - 1.0).abs() < 1e-9 && (turn.y / pitch - 1.0).abs() < 1e-9);
+        assert!(turn.z.abs() < 1e-12);
+    }
+
+    #[test]
+    fn what_is_wrong_is_said_in_a_line() {
+        for (line, wanted) in [
+            ("mas_kg = { uniform = 0.1 }", "(did you mean `mass_kg`?)"),
+            ("mass_kg = { unifrom = 0.1 }", "(did you mean `uniform`?)"),
+            ("mass_kg = { }", "spread: tolerances.mass_kg: must have exactly one of uniform, normal, "),
+            ("mass_kg = { uniform = 0.1, normal = 0.1 }", "tolerances.mass_kg: must have exactly one of"),
+            ("mass_kg = { uniform = 0.5 }", "tolerances.mass_kg.uniform = 0.5: must be from 0 to 0.325 kg"),
+            (
+                "mass_kg = { normal_percent = -1 }",
+                "tolerances.mass_kg.normal_percent = -1: must be from 0 to 50 %",
+            ),
+            ("arm_m = { uniform = nan }", "tolerances.arm_m.uniform = NaN: must be from 0 to 0.115 m"),
+            ("gyro_scale_ppm = { uniform_percent = 1 }", "must be uniform or normal: there is no figure"),
+            ("inertia_kg_m2 = { uniform_percent = 8 }", "no body has more about one than about both others"),
+        ] {
+            let said = Scene::parse("spread", &format!("{BARE}{line}\n")).unwrap_err().to_string();
+            assert!(said.contains(wanted), "{line}: {said}");
+        }
+        let lagless = "[scene]\nduration_s = 1.0\nseed = 1\nvehicle = \"os4\"\nimu = \"paper\"\n[tolerances]\n\
+                       motor_lag_tau_s = { uniform_percent = 10 }\n";
+        let said = Scene::parse("spread", lagless).unwrap_err().to_string();
+        assert!(said.contains("the scene has no lag: name effects.vehicle.motor_lag"), "{said}");
+    }
+}
