@@ -315,6 +315,8 @@ pub fn study(options: &Options, progress: Progress) -> Result<Study, InputError>
          and what leans on it (both readings of the paper, Mahony and Madgwick with their defaults) is pulled \
          towards level, whatever it costs. With τ = 10 s and a gyroscope zeroed at rest, `flight` leans on it least."
             .to_owned(),
+        "Bytes of flash of Kestrel's own are those of all its presets together: which one runs is a parameter."
+            .to_owned(),
         "Instructions are those of an update with all three sensors; the simulated magnetometer is sampled at every \
          tenth, so that a flight takes fewer."
             .to_owned(),
