@@ -313,7 +313,8 @@ pub fn study(options: &Options, progress: Progress) -> Result<Study, InputError>
     let mut remarks = vec![
         "More instructions do not always buy less error: in free flight the accelerometer shows tilt only through drag, \
          and what leans on it (both readings of the paper, Mahony and Madgwick with their defaults) is pulled \
-         towards level, whatever it costs. With τ = 10 s and a gyroscope zeroed at rest, `flight` leans on it least."
+         towards level, whatever it costs. With τ = 10 s and a gyroscope zeroed at rest, `flight` \
+         hardly leans on it; `robust` averages it in the world's axes, where the flight's own accelerations cancel."
             .to_owned(),
         "Bytes of flash of Kestrel's own are those of all its presets together: which one runs is a parameter."
             .to_owned(),
