@@ -4,13 +4,15 @@
 //! cargo run --release -p sim-host --example figures [DIRECTORY]
 //! ```
 //!
-//! They go to `docs/img`, or to the directory given. The same program makes the same bytes.
+//! They go to `docs/img`, or to the directory given. The same program makes the same bytes. The comparison of
+//! estimators needs recordings (environment variable `KESTREL_DATA`), and is left as it is without them.
 
 use std::error::Error;
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
-use sim_host::chart::{Chart, Line, Mark, Panel, Stroke, TIME, colour};
+use sim_host::chart::{Chart, Line, Mark, Panel, Stroke, TIME, colour, log_log};
+use sim_host::cost::{self, Axis, Options};
 use sim_host::flight::{Flight, Outcome};
 use sim_host::output_file::OutputFile;
 use sim_host::report::figures::{ESTIMATE, TARGET, TRUTH, line, marks, panel};
@@ -32,7 +34,64 @@ fn main() -> Result<(), Box<dyn Error>> {
         file.finish()?;
         println!("{}", path.display());
     }
+    for (name, chart) in costs()? {
+        let path = directory.join(name).with_extension("svg");
+        let mut file = OutputFile::create(&path)?;
+        file.write_all(chart.to_svg_file().as_bytes())?;
+        file.finish()?;
+        println!("{}", path.display());
+    }
     Ok(())
+}
+
+/// The plots of `docs/accuracy.md`: against costs that are the same on every machine.
+fn costs() -> Result<Vec<(&'static str, log_log::Chart)>, Box<dyn Error>> {
+    let recordings = std::env::var_os("KESTREL_DATA").map(PathBuf::from);
+    let options = Options { quick: false, timed: false, recordings };
+    let mut pictures = vec![
+        (
+            "cost-integrator",
+            "integrator",
+            (Axis::Also("evaluations"), "evaluations of the accelerations per simulated second"),
+            Some("flight of the scene steps"),
+            (
+                "Integrating the vehicle's motion",
+                "Worst error of the attitude over 16 s of a flight, step by step",
+            ),
+        ),
+        (
+            "cost-prefilter",
+            "prefilter",
+            (Axis::Also("group_delay_ms"), "group delay at low frequency, ms"),
+            Some("vibration of the blades, 72 Hz"),
+            (
+                "The prefilter of the sensors",
+                "What is left of a vibration, against the delay of the motion itself",
+            ),
+        ),
+    ];
+    if options.recordings.is_some() {
+        pictures.push((
+            "cost-estimator",
+            "estimator",
+            (Axis::M4, "instructions per update on the Cortex-M4F"),
+            None,
+            (
+                "Estimators of attitude",
+                "Error of the whole attitude in simulated flights and over real recordings",
+            ),
+        ));
+    } else {
+        println!("no recordings (KESTREL_DATA): cost-estimator.svg is left as it is");
+    }
+    let mut charts = Vec::new();
+    for (file, study, axis, problem, (title, note)) in pictures {
+        let studies = cost::run(&[study.into()], &options, &|_, _| ())?;
+        let mut chart = cost::plot(&studies[0], axis, |one| problem.is_none_or(|wanted| wanted == one));
+        chart.heading = Some((title.into(), note.into()));
+        charts.push((file, chart));
+    }
+    Ok(charts)
 }
 
 fn fly(scene: &Scene) -> (Outcome, Recorder) {

@@ -144,15 +144,15 @@ fn spare_the_log(log: &Path, out: &Path) -> Result<(), InputError> {
 
 /// One row as the flight code sees it: rad/s, m/s², µT, body axes, prefiltered.
 #[derive(Clone, Copy, Debug)]
-struct Sample {
-    gyro: Vec3<f32>,
-    accel: Vec3<f32>,
-    mag: Option<Vec3<f32>>,
+pub(crate) struct Sample {
+    pub(crate) gyro: Vec3<f32>,
+    pub(crate) accel: Vec3<f32>,
+    pub(crate) mag: Option<Vec3<f32>>,
     /// Time since the sample before, s.
-    dt_s: f32,
+    pub(crate) dt_s: f32,
 }
 
-fn samples(log: &Log, request: &Request) -> Result<Vec<Sample>, InputError> {
+pub(crate) fn samples(log: &Log, request: &Request) -> Result<Vec<Sample>, InputError> {
     let mag_rows = log.rows.iter().filter(|row| row.mag_ut.is_some());
     let mut gyro_filter = prefilter(request, "gyroscope", log.rows.iter().map(|row| row.time_s))?;
     let mut accel_filter = prefilter(request, "accelerometer", log.rows.iter().map(|row| row.time_s))?;
@@ -202,13 +202,13 @@ fn prefilter(
 }
 
 /// What the gyroscope read before anything moved.
-struct GyroAtRest {
+pub(crate) struct GyroAtRest {
     /// The bias as it was known at each sample up to the first motion, rad/s.
     biases: Vec<Vec3<f32>>,
 }
 
 impl GyroAtRest {
-    fn learn(samples: &[Sample]) -> Self {
+    pub(crate) fn learn(samples: &[Sample]) -> Self {
         let mut zero = GyroZero::default();
         let mut biases = Vec::new();
         for sample in samples {
@@ -223,7 +223,7 @@ impl GyroAtRest {
     }
 
     /// The samples less the bias as it was known at each.
-    fn zero(&self, samples: &[Sample]) -> Vec<Sample> {
+    pub(crate) fn zero(&self, samples: &[Sample]) -> Vec<Sample> {
         let last = self.biases.last().copied().unwrap_or(Vec3::ZERO);
         let biases = self.biases.iter().copied().chain(std::iter::repeat(last));
         samples.iter().zip(biases).map(|(s, bias)| Sample { gyro: s.gyro - bias, ..*s }).collect()

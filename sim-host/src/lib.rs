@@ -10,6 +10,7 @@ pub mod attitude_error;
 pub mod campaign;
 pub mod chart;
 pub mod chips;
+pub mod cost;
 pub mod earth_field;
 pub mod effects;
 pub mod estimate;

@@ -87,6 +87,8 @@ const RIGHT: f64 = 18.0;
 const HEADING_HEIGHT: f64 = 50.0;
 const TITLE_ROW: f64 = 26.0;
 const AXIS: f64 = 44.0;
+/// Distance of two labels, one below the other, px.
+const LINE: f64 = 13.0;
 
 /// Decades that an axis shows.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -291,12 +293,22 @@ impl Panel {
         }
         svg.push_str("</svg>");
 
+        let mut taken: Vec<(f64, f64, f64)> = Vec::new();
         for label in &self.labels {
             // To the upper right, where a falling curve is not; turned round at the right edge.
             let (x, y) = (left + along(label.at.0), top + up(label.at.1));
-            let leftwards = x + 8.0 + text_width(&label.text) > left + width;
+            let length = text_width(&label.text);
+            let leftwards = x + 8.0 + length > left + width;
             let (class, x) = if leftwards { ("q e", x - 8.0) } else { ("q", x + 8.0) };
-            let y = (y - 7.0).clamp(top + 12.0, top + height - 6.0);
+            let from = if leftwards { x - length } else { x };
+            // Lower or higher by lines if another label stands there.
+            let place = |shift: f64| (y + shift).clamp(top + 12.0, top + height - 6.0);
+            let free = |y: f64| {
+                taken.iter().all(|&(f, t, other)| t < from || from + length < f || (y - other).abs() >= LINE)
+            };
+            let shifts = [-7.0, 11.0, -7.0 - LINE, 11.0 + LINE, -7.0 - 2.0 * LINE, 11.0 + 2.0 * LINE];
+            let y = shifts.into_iter().map(place).find(|y| free(*y)).unwrap_or(place(-7.0));
+            taken.push((from, from + length, y));
             let attributes =
                 format!("class=\"{class}\" style=\"fill:{}\" x=\"{}\" y=\"{}\"", label.colour, px(x), px(y));
             text(svg, &attributes, &label.text);

@@ -2,6 +2,7 @@
 
 mod allan;
 mod campaign;
+mod cost;
 mod fly;
 mod hil;
 mod interrupt;
@@ -19,6 +20,9 @@ use serde_json::Value;
 use sim_host::campaign::Shard;
 use sim_host::input_error::InputError;
 use sim_host::log;
+
+/// Where recordings are looked for: the directory that the tests take theirs from.
+const RECORDINGS: &str = "KESTREL_DATA";
 
 /// Exit code of a flight or a check that failed.
 const FAILED: u8 = 1;
@@ -52,6 +56,8 @@ enum Command {
     Allan(allan::AllanArguments),
     /// Show what a scene simulates, in order, what it leaves out, and what each effect costs
     Plan(PlanArguments),
+    /// Show what accuracy costs in time: error against cost, over the settings of each part
+    Cost(cost::CostArguments),
     /// Make the paper's tables and figures again, on one page with the numbers beside it
     Paper(paper::PaperArguments),
     /// List the built-in scenes and their effects
@@ -249,6 +255,7 @@ pub fn run() -> ExitCode {
         Command::Estimate(a) => recordings::estimate(a),
         Command::Allan(a) => allan::run(a),
         Command::Plan(a) => listing::plan(a),
+        Command::Cost(a) => cost::run(a),
         Command::Paper(a) => paper::run(a),
         Command::Scenes => listing::scenes(),
     };

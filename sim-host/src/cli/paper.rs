@@ -7,10 +7,7 @@ use serde_json::{Value, json};
 use sim_host::input_error::InputError;
 use sim_host::paper::{self, Exhibit};
 
-use super::{Answer, progress};
-
-/// Where recordings are looked for: the directory that the tests take theirs from.
-const RECORDINGS: &str = "KESTREL_DATA";
+use super::{Answer, RECORDINGS, progress};
 
 #[derive(clap::Args)]
 pub struct PaperArguments {

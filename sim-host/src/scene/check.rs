@@ -23,7 +23,7 @@ pub(super) fn nearest<'a>(wrong: &str, valid: impl Iterator<Item = &'a str>) -> 
 }
 
 /// The error for a name that is none of `valid`.
-pub(super) fn unknown<'a>(field: &str, value: &str, valid: impl IntoIterator<Item = &'a str>) -> InputError {
+pub(crate) fn unknown<'a>(field: &str, value: &str, valid: impl IntoIterator<Item = &'a str>) -> InputError {
     let valid: Vec<&str> = valid.into_iter().collect();
     let near = nearest(value, valid.iter().copied());
     InputError::new(format!("must be one of {}{near}", valid.join(", "))).field(field).value(value)

@@ -1,0 +1,63 @@
+//! The command `cost`: what accuracy costs in time.
+
+use std::io::Write as _;
+use std::path::PathBuf;
+
+use sim_host::cost::{self, Options};
+use sim_host::input_error::InputError;
+use sim_host::output_file::OutputFile;
+
+use super::{Answer, RECORDINGS, progress};
+
+#[derive(clap::Args)]
+pub struct CostArguments {
+    /// Which studies: integrator, attitude, estimator, prefilter, arithmetic, rates, sensors; all without this.
+    /// `estimator` also takes recordings from the directory that the environment variable KESTREL_DATA names
+    #[arg(value_name = "STUDY")]
+    studies: Vec<String>,
+    /// Fewer settings, seeds and repetitions: under a minute
+    #[arg(long)]
+    quick: bool,
+    /// Write a page with plots, readable in any browser without a network
+    #[arg(long, value_name = "F.html")]
+    report: Option<PathBuf>,
+    /// Write STUDY.csv, the same in every run, and STUDY-timing.csv into this directory
+    #[arg(long, value_name = "DIR")]
+    csv: Option<PathBuf>,
+}
+
+pub fn run(arguments: &CostArguments) -> Result<Answer, InputError> {
+    // What can be wrong is found before minutes of work.
+    cost::check_names(&arguments.studies)?;
+    if let Some(directory) = &arguments.csv {
+        std::fs::create_dir_all(directory).map_err(|error| {
+            InputError::new(format!("cannot be made: {error}")).file(directory).field("--csv")
+        })?;
+    }
+    let report = arguments.report.as_ref().map(OutputFile::create).transpose()?;
+
+    let recordings = std::env::var_os(RECORDINGS).filter(|path| !path.is_empty()).map(PathBuf::from);
+    let options = Options { quick: arguments.quick, timed: true, recordings };
+    let bar = progress::bar(1000, "cost");
+    let studies = cost::run(&arguments.studies, &options, &|study, part| {
+        bar.set_message(study.to_owned());
+        bar.set_position((1000.0 * part) as u64);
+    })?;
+    bar.finish_and_clear();
+    if let Some(directory) = &arguments.csv {
+        for study in &studies {
+            let file = |name: String| OutputFile::create(directory.join(name));
+            write(file(format!("{}.csv", study.name))?, &cost::csv(study))?;
+            write(file(format!("{}-timing.csv", study.name))?, &cost::timing_csv(study))?;
+        }
+    }
+    if let Some(report) = report {
+        write(report, &cost::page(&studies))?;
+    }
+    Ok(Answer { json: cost::to_json(&studies), text: cost::text(&studies), failed: false })
+}
+
+fn write(mut file: OutputFile, text: &str) -> Result<(), InputError> {
+    file.write_all(text.as_bytes()).map_err(|error| file.error(&error))?;
+    file.finish()
+}

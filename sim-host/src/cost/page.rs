@@ -1,0 +1,246 @@
+//! The studies on a page: one HTML file with everything in it, and each plot by itself.
+
+use std::fmt::Write as _;
+
+use super::table::{columns, number, shown};
+use super::{Axis, Setting, Study};
+use crate::chart::log_log::{Chart, Label, Line, Panel};
+use crate::chart::{self, Stroke, colour, escaped};
+
+/// Fits a README and a page, px.
+const WIDTH: f64 = 900.0;
+const COLOURS: [&str; 6] =
+    [colour::BLUE, colour::VERMILLION, colour::GREEN, colour::ORANGE, colour::PURPLE, colour::SKY];
+
+/// Error against cost of the problems of a study for which `wanted`, with both axes logarithmic.
+pub fn plot(study: &Study, (axis, axis_title): (Axis, &'static str), wanted: impl Fn(&str) -> bool) -> Chart {
+    let problems: Vec<&str> = study.problems().into_iter().filter(|problem| wanted(problem)).collect();
+    let panels: Vec<Panel> =
+        problems.iter().map(|problem| panel(study, problem, axis, problems.len() == 1)).collect();
+    Chart {
+        width: WIDTH,
+        in_a_row: if panels.len() == 1 { 1 } else { 2 },
+        plot_height: 250.0,
+        heading: None,
+        description: format!("{}: error against cost, {axis_title}", study.title),
+        x_title: axis_title,
+        panels,
+    }
+}
+
+fn panel(study: &Study, problem: &str, axis: Axis, legend: bool) -> Panel {
+    let settings: Vec<&Setting> = study.of(problem).collect();
+    let place = |s: &Setting| s.cost(axis).zip(s.error).filter(|(x, y)| *x > 0.0 && *y > 0.0);
+    let mut front: Vec<(f64, f64)> = settings
+        .iter()
+        .filter(|s| super::on_front(s, &study.settings, |s| s.cost(axis)))
+        .filter_map(|s| place(s))
+        .collect();
+    front.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let mut lines = vec![Line {
+        label: String::new(),
+        stroke: Stroke::solid("#ddd", 7.0),
+        points: front,
+        dots: false,
+        sets_axes: false,
+    }];
+    let mut labels = Vec::new();
+    for (series, stroke) in series(study) {
+        let of: Vec<&Setting> = settings.iter().filter(|s| s.series == series).copied().collect();
+        let mut points: Vec<(f64, f64)> = of.iter().filter_map(|s| place(s)).collect();
+        points.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let lone = !has_lines(study);
+        for s in &of {
+            if let Some(at) = place(s)
+                && (s.default || (lone && (s.pareto || settings.len() <= 9)))
+            {
+                let text = match (lone, s.default) {
+                    (true, true) => format!("{} (default)", s.setting),
+                    (true, false) => s.setting.clone(),
+                    (false, _) => "default".into(),
+                };
+                labels.push(Label {
+                    at,
+                    text,
+                    colour: if s.default { colour::BLACK } else { stroke.colour },
+                });
+            }
+        }
+        lines.push(Line {
+            label: if legend && !lone { series.into() } else { String::new() },
+            stroke: if lone { Stroke { width: 0.0, ..stroke } } else { stroke },
+            points,
+            dots: true,
+            sets_axes: true,
+        });
+    }
+    let unit = settings.first().map_or("", |s| s.error_unit);
+    Panel { title: problem.into(), unit: unit.into(), bands: Vec::new(), lines, labels }
+}
+
+/// Whether a series is a line, and not a single point.
+fn has_lines(study: &Study) -> bool {
+    let first = study.settings.first();
+    first.is_some_and(|first| {
+        study.settings.iter().any(|s| {
+            s.problem == first.problem
+                && study.of(s.problem).filter(|other| other.series == s.series).count() > 1
+        })
+    })
+}
+
+/// The series in order, each with its stroke: dashed from where the colours come round again.
+fn series(study: &Study) -> Vec<(&str, Stroke)> {
+    let mut list: Vec<(&str, Stroke)> = Vec::new();
+    for s in &study.settings {
+        if !list.iter().any(|(name, _)| *name == s.series) {
+            let colour = COLOURS[list.len() % COLOURS.len()];
+            let dashed = list.len() >= COLOURS.len();
+            list.push((&s.series, Stroke { colour, width: 1.5, dashed }));
+        }
+    }
+    list
+}
+
+/// The page.
+pub fn page(studies: &[Study]) -> String {
+    let mut html = format!(
+        "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
+         <meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; style-src 'unsafe-inline'\">\n\
+         <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n\
+         <title>What accuracy costs · Kestrel</title>\n<style>\n{}{}{}</style>\n</head>\n<body>\n<main>\n\
+         <header>\n<p class=\"kind\">Kestrel · error against cost</p>\n<h1>What accuracy costs</h1>\n\
+         <p class=\"about\">Parts of the flight code and of the simulator, each swept over its settings and judged \
+         against a reference that is independent of it.</p>\n\
+         <p class=\"facts\">Grey band and bold: the Pareto front, settings that no other of the same problem beats in \
+         error and cost. Black dot and “default”: what Kestrel does unless told otherwise. Errors and instructions are \
+         the same in every run; times are this machine's.</p>\n</header>\n",
+        crate::report::STYLE,
+        chart::STYLE,
+        include_str!("page.css"),
+    );
+    for study in studies {
+        section(&mut html, study);
+    }
+    html.push_str(
+        "<footer>Instructions are counted on an emulated Cortex-M4F; a processor at 168 MHz is taken to need two cycles \
+         for each. Times are the quickest of several batches on the machine that made this page.</footer>\n\
+         </main>\n</body>\n</html>\n",
+    );
+    html
+}
+
+/// Text with what stands in backticks as code.
+fn prose(text: &str) -> String {
+    let part = |(k, part)| if k % 2 == 1 { format!("<code>{}</code>", escaped(part)) } else { escaped(part) };
+    text.split('`').enumerate().map(part).collect()
+}
+
+fn section(html: &mut String, study: &Study) {
+    let _ = write!(
+        html,
+        "<section id=\"{}\">\n<figure>\n<h2>{}</h2>\n<figcaption>{} <b>Reference:</b> {}</figcaption>\n",
+        study.name,
+        escaped(study.title),
+        prose(&study.about),
+        prose(&study.reference)
+    );
+    if has_lines(study) && study.problems().len() > 1 {
+        html.push_str("<p class=\"legend\">");
+        for (name, Stroke { colour, dashed, .. }) in series(study) {
+            let style = if dashed { "dashed" } else { "solid" };
+            let _ = write!(
+                html,
+                "<span><i style=\"border-top:3px {style} {colour}\"></i>{}</span> ",
+                escaped(name)
+            );
+        }
+        html.push_str("</p>\n");
+    }
+    let chart = plot(study, (study.axis, study.axis_title), |_| true);
+    let _ = write!(html, "<div class=\"scroll\">{}</div>\n</figure>\n", chart.to_svg());
+    for remark in &study.remarks {
+        let _ = writeln!(html, "<p class=\"remark\">{}</p>", prose(remark));
+    }
+    let columns = columns(study);
+    for problem in study.problems() {
+        let (rows, count) = shown(study, problem);
+        let unit = rows.first().map_or("", |s| s.error_unit);
+        let of =
+            if rows.len() < count { format!("; {} of {count} settings", rows.len()) } else { String::new() };
+        let _ = write!(
+            html,
+            "<table class=\"data\">\n<caption>{} <small>error: {}; costs of {}{of}</small></caption>\n\
+             <tr><th>setting</th>",
+            escaped(problem),
+            escaped(unit),
+            escaped(study.per),
+        );
+        for (name, _) in &columns {
+            let _ = write!(html, "<th class=\"n\">{}</th>", escaped(name));
+        }
+        html.push_str("</tr>\n");
+        for s in rows {
+            let class = if s.pareto { " class=\"front\"" } else { "" };
+            let mark = if s.default { " <small>default</small>" } else { "" };
+            let _ = write!(html, "<tr{class}><td>{}{mark}</td>", escaped(&s.setting));
+            for (_, value) in &columns {
+                let _ = write!(html, "<td class=\"n\">{}</td>", number(value(s)));
+            }
+            html.push_str("</tr>\n");
+        }
+        html.push_str("</table>\n");
+    }
+    html.push_str("</section>\n");
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn study() -> Study {
+        let setting = |series: &str, host_ns, error, default| Setting {
+            problem: "a < b",
+            series: series.into(),
+            setting: format!("{series} {host_ns}"),
+            error,
+            error_unit: "rad",
+            host_ns: Some(host_ns),
+            default,
+            ..Setting::default()
+        };
+        let mut study = Study {
+            name: "s",
+            title: "A & B",
+            about: "about".into(),
+            reference: "reference".into(),
+            per: "a step",
+            axis: Axis::Host,
+            axis_title: "ns",
+            settings: vec![
+                setting("x", 1.0, Some(1.0), false),
+                setting("x", 2.0, Some(0.1), true),
+                setting("y", 3.0, Some(0.0), false),
+                setting("y", 4.0, None, false),
+            ],
+            remarks: vec!["1 < `2`".into()],
+        };
+        study.mark_front();
+        study
+    }
+
+    #[test]
+    fn a_page_escapes_and_has_every_setting() {
+        let html = page(&[study()]);
+        assert!(
+            html.contains("A &amp; B") && html.contains("1 &lt; <code>2</code>") && html.contains("a &lt; b")
+        );
+        for row in ["x 1", "x 2", "y 3", "y 4"] {
+            assert!(html.contains(&format!("<td>{row}")), "{row}");
+        }
+        assert_eq!(html.matches("<tr class=\"front\">").count(), 3);
+        // A default, and an error of zero has no place on a logarithmic axis.
+        assert!(html.contains(">default</text>"));
+        assert!(!html.contains("NaN") && !html.contains("inf"));
+    }
+}

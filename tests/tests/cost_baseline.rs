@@ -1,0 +1,136 @@
+//! What accuracy costs, held against `tests/cost_baseline.toml`: no setting loses accuracy or gains instructions
+//! unnoticed, and what Kestrel does by itself is on the Pareto front.
+//!
+//! The errors are computed, not timed, and are the same on every machine. To write the file anew after a
+//! change: `KESTREL_WRITE_DOCS=1 cargo test -p tests --test cost_baseline`.
+
+use std::collections::BTreeMap;
+use std::fmt::Write as _;
+use std::path::Path;
+use std::sync::LazyLock;
+
+use sim_host::cost::{self, Options, Setting, Study, on_front};
+
+/// How much of its error a setting may gain. Nothing in it is random; a change of rounding moves it less.
+const ERROR: f64 = 0.02;
+/// The adaptive method chooses its steps by the C library's power function, whose last bits differ between
+/// machines, and near rounding all of its error is such bits.
+const ADAPTIVE: (&str, f64, f64) = ("Dormand-Prince", 0.5, 1e-12);
+/// How many more instructions it may take.
+const INSTRUCTIONS: f64 = 0.05;
+
+static STUDIES: LazyLock<Vec<Study>> = LazyLock::new(|| {
+    // Without recordings, which not every machine has.
+    let options = Options { quick: true, timed: false, recordings: None };
+    cost::run(&[], &options, &|_, _| ()).unwrap_or_else(|error| panic!("{error}"))
+});
+
+type Figures = BTreeMap<String, f64>;
+type Baseline = BTreeMap<String, BTreeMap<String, Figures>>;
+
+fn measured() -> Baseline {
+    let figures = |s: &Setting| -> Figures {
+        let all = [("error", s.error), ("m4_instructions", s.m4_instructions)];
+        all.into_iter().filter_map(|(name, value)| Some((name.to_owned(), value?))).collect()
+    };
+    let settings = |study: &Study| {
+        let rows: BTreeMap<String, Figures> =
+            study.settings.iter().map(|s| (format!("{}: {}", s.problem, s.setting), figures(s))).collect();
+        assert_eq!(rows.len(), study.settings.len(), "{}: two settings of one name", study.name);
+        rows
+    };
+    STUDIES.iter().map(|study| (study.name.to_owned(), settings(study))).collect()
+}
+
+fn number(value: f64) -> String {
+    if value < 1e-3 { format!("{value:e}") } else { format!("{value}") }
+}
+
+fn text(baseline: &Baseline) -> String {
+    let mut text = String::from(
+        "# Errors of the settings that `sim-host cost --quick` compares, and their instructions on the Cortex-M4F.\n\
+         # Written by a test, which says how: tests/tests/cost_baseline.rs.\n",
+    );
+    for (study, settings) in baseline {
+        writeln!(text, "\n[{study}]").unwrap();
+        for (setting, figures) in settings {
+            let figures: Vec<String> =
+                figures.iter().map(|(name, value)| format!("{name} = {}", number(*value))).collect();
+            writeln!(text, "\"{setting}\" = {{ {} }}", figures.join(", ")).unwrap();
+        }
+    }
+    text
+}
+
+#[test]
+fn no_setting_loses_accuracy_or_gains_instructions() {
+    let measured = measured();
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("cost_baseline.toml");
+    if std::env::var_os("KESTREL_WRITE_DOCS").is_some() {
+        return std::fs::write(&path, text(&measured)).unwrap();
+    }
+    let mut committed: Baseline = toml::from_str(&std::fs::read_to_string(&path).unwrap()).unwrap();
+    let mut worse = Vec::new();
+    for (study, settings) in measured {
+        let mut of_study = committed.remove(&study).unwrap_or_default();
+        for (setting, now) in settings {
+            let Some(then) = of_study.remove(&setting) else {
+                worse.push(format!("{study}: {setting} is not in the file"));
+                continue;
+            };
+            let adaptive = setting.contains(ADAPTIVE.0);
+            let (share, slack) = if adaptive { (ADAPTIVE.1, ADAPTIVE.2) } else { (ERROR, 0.0) };
+            for (figure, share, slack) in [("error", share, slack), ("m4_instructions", INSTRUCTIONS, 0.0)] {
+                match (now.get(figure), then.get(figure)) {
+                    (Some(now), Some(then)) if *now > then * (1.0 + share) + slack => {
+                        worse.push(format!("{study}: {setting}: {figure} {now:e}, and was {then:e}"));
+                    }
+                    (Some(now), Some(then)) if *now < then * (1.0 - share) - slack => {
+                        println!("{study}: {setting}: {figure} {now:e} is better than the file's {then:e}");
+                    }
+                    (Some(_), None) | (None, Some(_)) => {
+                        worse.push(format!("{study}: {setting}: {figure} {:?}, and was {:?}", now, then));
+                    }
+                    _ => {}
+                }
+            }
+        }
+        worse.extend(of_study.into_keys().map(|setting| format!("{study}: {setting} is no longer measured")));
+    }
+    assert!(committed.is_empty(), "no such studies: {:?}", committed.keys());
+    assert!(worse.is_empty(), "KESTREL_WRITE_DOCS=1 writes them down:\n{}", worse.join("\n"));
+}
+
+/// What Kestrel does unless told otherwise is beaten by no other setting in error and cost, of the problems
+/// that decided it. `docs/accuracy.md` says where else it is, and why.
+#[test]
+fn the_default_is_on_the_front() {
+    let study = |name: &str| STUDIES.iter().find(|study| study.name == name).expect("there is this study");
+    let check = |name: &str, problem: &str, cost: fn(&Setting) -> Option<f64>, fits: fn(&Setting) -> bool| {
+        let of: Vec<Setting> = study(name).of(problem).filter(|s| fits(s)).cloned().collect();
+        let default: Vec<&Setting> = of.iter().filter(|s| s.default).collect();
+        assert_eq!(default.len(), 1, "{name}, {problem}: one default");
+        assert!(of.len() > 2, "{name}, {problem}: something to compare with");
+        assert!(on_front(default[0], &of, cost), "{name}, {problem}: {:?} is beaten", default[0]);
+    };
+    let everything = |_: &Setting| true;
+    let instructions = |s: &Setting| s.m4_instructions;
+    // Work of an integrator without a clock: evaluations of the accelerations, and the Lie group's exponentials,
+    // four a step, counted like them.
+    let evaluations = |s: &Setting| {
+        let lie = if s.series.starts_with("RKMK4") { 2.0 } else { 1.0 };
+        s.figure("evaluations").map(|evaluations| evaluations * lie)
+    };
+    check("integrator", "flight of the scene steps", evaluations, everything);
+    // The controller takes an attitude a thousand times a second.
+    let often = |s: &Setting| s.figure("attitude_hz").is_some_and(|rate| rate >= 1000.0);
+    check("attitude", "coning, 1° at 20 Hz", instructions, often);
+    check("attitude", "tumbling top", instructions, often);
+    check("estimator", "simulated, steps", instructions, everything);
+    let delay = |s: &Setting| s.figure("group_delay_ms");
+    check("prefilter", "vibration of the blades, 72 Hz", delay, everything);
+    for problem in study("arithmetic").problems() {
+        check("arithmetic", problem, instructions, everything);
+    }
+    check("rates", "steps: true attitude against that at 8 kHz", instructions, everything);
+}
