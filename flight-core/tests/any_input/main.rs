@@ -1,0 +1,75 @@
+//! No NaN and no infinity leaves flight-core, and no motor turns without a permit, whatever comes in.
+
+mod promise;
+mod script;
+
+use std::collections::BTreeSet;
+use std::sync::Mutex;
+
+use flight_core::{ArmState, Config, FlightController, Params};
+use proptest::prelude::*;
+use proptest::test_runner::TestRunner;
+
+use promise::Watched;
+use script::{Bytes, Script};
+
+/// The states that a script went through; `None` for a configuration that was refused.
+fn fly(bytes: &[u8]) -> Option<BTreeSet<&'static str>> {
+    let script = Script::read(&mut Bytes::new(bytes));
+    let mut watched = Watched::new(&script.config)?;
+    script.fly(&mut watched);
+    Some(watched.states)
+}
+
+/// Scripts at random keep the promises, and go everywhere: each state is reached, and of the configurations
+/// neither all nor none are refused.
+#[test]
+fn whatever_comes_in() {
+    let reached = Mutex::new(BTreeSet::new());
+    let refused = Mutex::new(0_u32);
+    let cases = ProptestConfig::default().cases.max(2_000);
+    let mut runner = TestRunner::new(ProptestConfig { cases, ..ProptestConfig::default() });
+    runner
+        .run(&prop::collection::vec(any::<u8>(), 0..400), |bytes| {
+            match fly(&bytes) {
+                Some(states) => reached.lock().unwrap().extend(states),
+                None => *refused.lock().unwrap() += 1,
+            }
+            Ok(())
+        })
+        .unwrap_or_else(|failure| panic!("{failure}"));
+    let refused = *refused.lock().unwrap();
+    assert!(refused > cases / 20 && refused < cases / 2, "{refused} of {cases} configurations refused");
+    let all: BTreeSet<_> = ArmState::ALL.map(ArmState::name).into();
+    assert_eq!(*reached.lock().unwrap(), all);
+}
+
+/// A scene, a file or a link may bring any configuration. One number out of a hundred that is wrong is refused
+/// with its name and range, or harmless.
+#[test]
+fn every_number_of_a_configuration_may_be_anything() {
+    let defaults = Config { params: Params::default(), calibration: Some(flight_core::Calibration::NONE) };
+    let count = script::numbers(&mut defaults.clone()).len();
+    for index in 0..count {
+        for value in script::SPECIAL.into_iter().chain(script::POWERS) {
+            for literal in script::ESTIMATORS {
+                let mut config = defaults;
+                config.params.estimator = literal;
+                *script::numbers(&mut config)[index] = value;
+                match FlightController::new(&config) {
+                    Err(error) => {
+                        // The first field out of range, and what is said of it is true.
+                        let within = error.value >= error.minimum && error.value <= error.maximum;
+                        let edge = error.value == error.minimum || error.value == error.maximum;
+                        assert!(!within || (error.exclusive && edge), "{error}");
+                    }
+                    Ok(_) => {
+                        let mut watched = Watched::new(&config).unwrap();
+                        let script = Script::read(&mut Bytes::new(&[])).with(config);
+                        script.fly(&mut watched);
+                    }
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,172 @@
+//! What the flight controller promises for any input, checked in each step against the inputs themselves.
+
+use std::collections::BTreeSet;
+
+use flight_core::arming::table::rows;
+use flight_core::bench::BENCH_SILENT_US;
+use flight_core::flight_controller::IMU_LOST_US;
+use flight_core::rc::link::RC_LOST_US;
+use flight_core::sample::LinkStatus;
+use flight_core::{ArmState, Config, FlightController, Input};
+
+/// A flight controller under watch.
+pub struct Watched {
+    controller: FlightController,
+    config: Config,
+    last: Last,
+    /// Names of the states that it has been in.
+    pub states: BTreeSet<&'static str>,
+}
+
+/// What came out of the last step, and when what last came in.
+struct Last {
+    step_us: Option<u64>,
+    state: ArmState,
+    pulses_us: [f32; 4],
+    permitted: bool,
+    imu_us: Option<u64>,
+    frame_us: Option<u64>,
+    bench_us: Option<u64>,
+    battery: Option<(u64, f32)>,
+}
+
+impl Watched {
+    /// `None` if the configuration is refused.
+    pub fn new(config: &Config) -> Option<Self> {
+        let controller = FlightController::new(config).ok()?;
+        let last = Last {
+            step_us: None,
+            state: ArmState::Disarmed,
+            pulses_us: [config.params.esc.stop_us; 4],
+            permitted: false,
+            imu_us: None,
+            frame_us: None,
+            bench_us: None,
+            battery: None,
+        };
+        Some(Self { controller, config: *config, last, states: BTreeSet::new() })
+    }
+
+    /// One step, and everything that must hold after it.
+    pub fn step(&mut self, input: &Input) {
+        let output = self.controller.step(input);
+        let permitted = output.permit.is_some();
+        let stop_us = self.config.params.esc.stop_us;
+        let full_us = self.config.params.esc.full_us;
+        let (state, pulses_us) = (output.state, output.pulses_us);
+
+        let attitude = self.controller.attitude();
+        assert!((attitude.norm_squared() - 1.0).abs() < 1e-3, "{attitude:?} is no rotation");
+        let rates = <[f32; 3]>::from(self.controller.rates_rad_s());
+        assert!(rates.iter().all(|rate| rate.is_finite()), "{rates:?} rad/s");
+        let bias = self.controller.gyro_bias_rad_s();
+        assert!(bias.norm() <= 0.3501, "a bias of {bias:?} rad/s");
+
+        for us in pulses_us {
+            assert!(us >= stop_us && us <= full_us, "{us} µs in {state:?}");
+        }
+        if !permitted {
+            assert_eq!(pulses_us, [stop_us; 4], "pulses without a permit in {state:?}");
+        }
+        match (state, output.permit) {
+            (ArmState::Armed | ArmState::Descent, permit) => {
+                let airframe = &self.config.params.airframe;
+                let idle_us = stop_us + (full_us - stop_us) * (airframe.idle_rad_s / airframe.max_rad_s);
+                assert!(pulses_us.iter().all(|us| *us >= idle_us - 0.01), "{pulses_us:?}, idle is {idle_us}");
+                let allowed_us = permit.expect("flies without a permit").apply(pulses_us, stop_us);
+                assert_eq!(allowed_us, pulses_us);
+            }
+            (ArmState::Bench, Some(permit)) => {
+                let limit_us = stop_us + (full_us - stop_us) * self.config.params.bench.max_thrust.sqrt();
+                let allowed_us = permit.apply([full_us; 4], stop_us);
+                let turning = allowed_us.iter().filter(|us| **us != stop_us).count();
+                assert!(turning <= 1 && allowed_us.iter().all(|us| *us <= limit_us + 0.01), "{allowed_us:?}");
+                assert!(pulses_us.iter().zip(allowed_us).all(|(us, limit_us)| *us <= limit_us));
+            }
+            (ArmState::Bench, None) => {}
+            (_, permit) => assert!(permit.is_none(), "a permit in {state:?}"),
+        }
+
+        if let Some(event) = output.event {
+            assert_eq!((event.from, event.to), (self.last.state, state));
+            let row = rows(event.from).iter().find(|row| row.to == event.to && row.cause == event.cause);
+            assert!(row.is_some(), "{event:?} is in no row");
+        } else {
+            assert_eq!(state, self.last.state, "a change that nobody is told of");
+        }
+
+        if self.last.step_us.is_some_and(|last_us| input.time_us <= last_us) {
+            // Time does not run backwards: nothing is taken in, and the last output stands.
+            assert_eq!(
+                (state, pulses_us, permitted),
+                (self.last.state, self.last.pulses_us, self.last.permitted)
+            );
+            return;
+        }
+        self.take(input);
+        self.must_not_turn(input, state, permitted);
+        self.last.step_us = Some(input.time_us);
+        (self.last.state, self.last.pulses_us, self.last.permitted) = (state, pulses_us, permitted);
+        self.states.insert(state.name());
+    }
+
+    fn take(&mut self, input: &Input) {
+        let (now_us, last) = (input.time_us, &mut self.last);
+        if input.imu.is_some_and(|sample| sample.gyro.iter().chain(&sample.accel).any(|n| *n != i16::MIN)) {
+            last.imu_us = Some(now_us);
+        }
+        if input.rc.is_some_and(|frame| frame.status == LinkStatus::Good) {
+            last.frame_us = Some(now_us);
+        }
+        if input.bench.is_some_and(|c| (1..=4).contains(&c.rotor) && c.thrust >= 0.0 && c.thrust <= 1.0) {
+            last.bench_us = Some(now_us);
+        }
+        if let Some(battery) = input.battery {
+            last.battery = Some((now_us, battery.voltage_v));
+        }
+    }
+
+    /// What forbids a motor to turn, from the inputs' times alone.
+    fn must_not_turn(&self, input: &Input, state: ArmState, permitted: bool) {
+        let last = &self.last;
+        let age_us = |at_us: Option<u64>| at_us.map_or(u64::MAX, |at_us| input.time_us - at_us);
+        if state.flies() {
+            assert!(!input.health.usb, "{state:?} with USB plugged in");
+            let imu_us = age_us(last.imu_us);
+            assert!(imu_us <= u64::from(IMU_LOST_US), "{state:?}, and the last sample is {imu_us} µs old");
+        }
+        if state == ArmState::Armed {
+            let frame_us = age_us(last.frame_us);
+            assert!(frame_us <= u64::from(RC_LOST_US), "armed, and the last frame is {frame_us} µs old");
+        }
+        if state == ArmState::Armed && last.state == ArmState::Arming {
+            assert!(self.config.calibration.is_some(), "armed without a calibration");
+            assert!(!input.health.maintenance, "armed in maintenance");
+            let (at_us, voltage_v) = last.battery.expect("armed on an unknown battery");
+            assert!(voltage_v >= self.config.params.min_arm_voltage_v, "armed on {voltage_v} V");
+            assert!(input.time_us - at_us <= 2_000_000, "armed on a battery measured long ago");
+        }
+        if state == ArmState::Bench && permitted {
+            let command_us = age_us(last.bench_us);
+            assert!(
+                command_us <= u64::from(BENCH_SILENT_US),
+                "the bench turns {command_us} µs after a command"
+            );
+        }
+    }
+
+    /// No number in the whole state is NaN or infinite, wherever the outputs would have hidden it.
+    pub fn state_is_finite(&self) {
+        // What was measured of the battery is kept as it came; it is only ever compared.
+        let state = format!("{:?}", self.controller);
+        let words = state.split([' ', ',', '(', ')', '[', ']', '{', '}']);
+        let mut field = "";
+        for word in words.filter(|word| !word.is_empty()) {
+            let number = matches!(word, "NaN" | "inf" | "-inf");
+            assert!(!number || field == "voltage_v:", "{field} {word} in {state}");
+            if word.ends_with(':') {
+                field = word;
+            }
+        }
+    }
+}
