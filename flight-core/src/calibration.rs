@@ -61,16 +61,28 @@ impl SensorModel {
     /// Folds sensitivity, mounting and calibration.
     ///
     /// # Errors
-    /// A sensitivity that isn't positive and finite, a mounting that isn't a rotation, a calibration matrix
-    /// that isn't near the unit matrix (determinant outside 0.5 to 2), a bias that isn't finite.
+    /// A sensitivity that isn't positive or makes full scale absurd, a mounting that isn't a rotation, a
+    /// calibration matrix that isn't near the unit matrix (a row longer than 2, a determinant outside 0.5 to 2), a
+    /// bias beyond any sensor's range.
     pub fn new(
         name: SensorFields,
         sensitivity: Sensitivity,
         calibration: SensorCalibration,
     ) -> Result<Self, ConfigError> {
-        check(name.per_count, sensitivity.per_count, f32::MIN_POSITIVE, 1.0e3)?;
-        // A rotation has determinant 1; a typed-in one has it to a few digits.
-        check(name.mounting, sensitivity.mounting.determinant(), 0.999, 1.001)?;
+        check(name.per_count, sensitivity.per_count, f32::MIN_POSITIVE, name.max_per_count)?;
+        // A rotation's rows have length 1 and stand across each other; typed-in ones do to a few digits. A mirror
+        // image has them too, but the determinant −1.
+        let [a, b, c] = sensitivity.mounting.rows;
+        for row in [a, b, c] {
+            check(name.mounting_row, row.dot(row), 0.999, 1.001)?;
+        }
+        for product in [a.dot(b), b.dot(c), c.dot(a)] {
+            check(name.mounting_angle, product, -1.0e-3, 1.0e-3)?;
+        }
+        check(name.mounting, sensitivity.mounting.determinant(), 0.995, 1.005)?;
+        for row in calibration.matrix.rows {
+            check(name.matrix_row, row.dot(row), 0.0, 4.0)?;
+        }
         check(name.matrix, calibration.matrix.determinant(), 0.5, 2.0)?;
         for axis in <[f32; 3]>::from(calibration.bias) {
             check(name.bias, axis, -1.0e6, 1.0e6)?;
@@ -93,8 +105,14 @@ impl SensorModel {
 #[derive(Clone, Copy, Debug)]
 pub struct SensorFields {
     per_count: &'static str,
+    /// Largest sensitivity. Gyroscope: 32,768 counts of 0.3 rad/s turn 10³ rad in the 0.1 s after which a sensor
+    /// counts as lost, as far as the estimator can follow; real ones have 0.001. The others: 10³.
+    max_per_count: f32,
     mounting: &'static str,
+    mounting_row: &'static str,
+    mounting_angle: &'static str,
     matrix: &'static str,
+    matrix_row: &'static str,
     bias: &'static str,
 }
 
@@ -102,22 +120,34 @@ impl SensorFields {
     /// Gyroscope.
     pub const GYRO: Self = Self {
         per_count: "gyro.per_count",
+        max_per_count: 0.3,
         mounting: "gyro.mounting (determinant)",
+        mounting_row: "gyro.mounting (squared length of a row)",
+        mounting_angle: "gyro.mounting (product of two rows)",
         matrix: "calibration.gyro.matrix (determinant)",
+        matrix_row: "calibration.gyro.matrix (squared length of a row)",
         bias: "calibration.gyro.bias",
     };
     /// Accelerometer.
     pub const ACCEL: Self = Self {
         per_count: "accel.per_count",
+        max_per_count: 1.0e3,
         mounting: "accel.mounting (determinant)",
+        mounting_row: "accel.mounting (squared length of a row)",
+        mounting_angle: "accel.mounting (product of two rows)",
         matrix: "calibration.accel.matrix (determinant)",
+        matrix_row: "calibration.accel.matrix (squared length of a row)",
         bias: "calibration.accel.bias",
     };
     /// Magnetometer.
     pub const MAG: Self = Self {
         per_count: "mag.per_count",
+        max_per_count: 1.0e3,
         mounting: "mag.mounting (determinant)",
+        mounting_row: "mag.mounting (squared length of a row)",
+        mounting_angle: "mag.mounting (product of two rows)",
         matrix: "calibration.mag.matrix (determinant)",
+        matrix_row: "calibration.mag.matrix (squared length of a row)",
         bias: "calibration.mag.bias",
     };
 }

@@ -128,11 +128,22 @@ impl FlightController {
     /// One step of the chain: takes what arrived, returns what the motors are to do.
     ///
     /// Call it once per inertial sample, and when a sample fails to come: a missing sensor stops nothing
-    /// here, it ages. A step whose time is not after the last one's repeats the last output.
+    /// here, it ages, and until the next one the pulses stay as they are. A step whose time is not after the last
+    /// one's repeats the last output; if it is before that by more than [`IMU_LOST_US`], the clock was set back,
+    /// and time goes on from there.
+    ///
+    /// The output is finite and in range, whatever comes in.
     #[inline]
     pub fn step(&mut self, input: &Input) -> Output {
         let (first, dt_us) = match self.time_us {
-            Some(last) if input.time_us <= last => return self.output(None),
+            Some(last) if input.time_us <= last => {
+                // A few microseconds are two tasks' reading of one clock. A clock that was set back would otherwise
+                // hold the motors at their last pulses until it catches up.
+                if last - input.time_us > u64::from(IMU_LOST_US) {
+                    self.time_us = Some(input.time_us);
+                }
+                return self.output(None);
+            }
             // After more than a second everything is lost anyway.
             Some(last) => (false, (input.time_us - last).min(1_000_000) as u32),
             None => (true, 0),
@@ -141,7 +152,7 @@ impl FlightController {
 
         self.listen(input, dt_us);
         self.watch(input, dt_us);
-        self.estimate(input, dt_us);
+        let fresh_s = self.estimate(input, dt_us);
         let event = self.arming.update(self.conditions(input, first), dt_us);
         if let Some(Event { to: ArmState::Descent, cause: Cause::RcLost, .. }) = event {
             // Whatever the sticks last said.
@@ -149,10 +160,15 @@ impl FlightController {
             self.controller.set_level(self.descent_throttle);
         }
         match self.arming.state() {
+            // Between samples nothing is known that the last one has not answered. And their time is the
+            // controller's: over the microseconds from a step without a sample to the late sample, a change of
+            // rate would look like a blow.
             ArmState::Armed | ArmState::Descent => {
                 let tilt = self.controller.holds_tilt().then(|| self.estimator.down().z);
                 self.upset.update(tilt, dt_us);
-                self.control(dt_us as f32 * 1.0e-6);
+                if let Some(dt_s) = fresh_s {
+                    self.control(dt_s);
+                }
             }
             ArmState::Bench => {
                 self.rest();
@@ -209,9 +225,10 @@ impl FlightController {
         }
     }
 
-    /// Calibration, prefilter, gyro zero and estimator, for the sensors that brought something.
+    /// Calibration, prefilter, gyro zero and estimator, for the sensors that brought something. Returns the time,
+    /// s, that a new inertial sample covers; none after a gap.
     #[inline(always)]
-    fn estimate(&mut self, input: &Input, dt_us: u32) {
+    fn estimate(&mut self, input: &Input, dt_us: u32) -> Option<f32> {
         self.imu_age_us = self.imu_age_us.saturating_add(dt_us);
         let imu: Option<&ImuSample> = input.imu.as_ref().filter(|sample| ImuCheck::is_valid(sample));
         let gap = self.imu_age_us > IMU_LOST_US;
@@ -221,7 +238,7 @@ impl FlightController {
         }
         let mag = input.mag.map(|sample| self.mag_prefilter.step(self.mag_model.apply(sample.counts)));
         // A field that comes without an inertial sample has gone through its prefilter and is not missed.
-        let Some(sample) = imu else { return };
+        let sample = imu?;
         self.imu_check.take(sample);
         // The estimator's dt is the time since its last sample, not since the last step.
         let dt_s = if gap { 0.0 } else { self.imu_age_us as f32 * 1.0e-6 };
@@ -244,6 +261,7 @@ impl FlightController {
         } else {
             self.estimator.update(self.rates, accel, mag, dt_s);
         }
+        Some(dt_s)
     }
 
     /// After a gap in the samples the filters' pasts are no longer theirs.

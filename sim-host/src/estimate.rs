@@ -481,15 +481,15 @@ mod tests {
         for (cutoff, allowed) in [
             (
                 30.0,
-                "--prefilter-hz = 30: must be above 0 Hz and below 20 Hz, half the rate of the magnetometer",
+                "--prefilter-hz = 30: must be above 0.02 Hz and below 20 Hz, half the rate of the magnetometer",
             ),
             (
                 100.0,
-                "--prefilter-hz = 100: must be above 0 Hz and below 100 Hz, half the rate of the gyroscope",
+                "--prefilter-hz = 100: must be above 0.1 Hz and below 100 Hz, half the rate of the gyroscope",
             ),
             (
                 -1.0,
-                "--prefilter-hz = -1: must be above 0 Hz and below 100 Hz, half the rate of the gyroscope",
+                "--prefilter-hz = -1: must be above 0.1 Hz and below 100 Hz, half the rate of the gyroscope",
             ),
         ] {
             request.prefilter_hz = Some(cutoff);

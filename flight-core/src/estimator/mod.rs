@@ -196,6 +196,11 @@ impl Estimator {
 
     /// Takes one sample: angular rate (rad/s), specific force (m/s²), and field (µT) if there is a new one,
     /// all in body axes, `dt_s` after the last. The first sample sets the attitude.
+    ///
+    /// A sample is one if it turns the body by less than 1,000 rad, shows less than 10⁸ m/s² and µT, and
+    /// comes after the last one. Of others nothing is promised, and of these, that the attitude stays finite.
+    /// [`crate::FlightController`] has no others: [`crate::calibration::SensorModel`] bounds what counts can
+    /// become.
     #[inline]
     pub fn update(&mut self, gyro: Vec3<f32>, accel: Vec3<f32>, mag: Option<Vec3<f32>>, dt_s: f32) {
         match self {

@@ -73,8 +73,10 @@ impl QuaternionFilter {
         let turn = if sine > 1.0e-6 {
             axis * (share * angle / sine)
         } else {
-            // Parallel: nothing to do. Antiparallel: any level axis serves; take the body's x.
-            Vec3::X * (share * angle)
+            // Parallel: nothing to do. Antiparallel: any level axis serves.
+            let across = if predicted.y.abs() < 0.7 { vec3(0.0, 1.0, 0.0) } else { Vec3::X };
+            let level = across.cross(predicted);
+            level * (share * angle / level.norm())
         };
         self.q = self.q * Quaternion::from_rotation_vector(turn);
     }
@@ -98,7 +100,8 @@ impl QuaternionFilter {
     #[inline(always)]
     fn share(&self, age_s: f32, dt_s: f32) -> f32 {
         match self.weight {
-            Weight::TimeConstant { tau_s } if age_s < tau_s => dt_s / (age_s + dt_s),
+            // A sample that covers no time weighs nothing, at no age either.
+            Weight::TimeConstant { tau_s } if age_s < tau_s && dt_s > 0.0 => dt_s / (age_s + dt_s),
             weight => weight.of_measurement(dt_s),
         }
     }

@@ -21,6 +21,8 @@ pub struct Watched {
 /// What came out of the last step, and when what last came in.
 struct Last {
     step_us: Option<u64>,
+    /// Time that has passed, whatever the clock was set back to; the times below are by it.
+    now_us: u64,
     state: ArmState,
     pulses_us: [f32; 4],
     permitted: bool,
@@ -36,6 +38,7 @@ impl Watched {
         let controller = FlightController::new(config).ok()?;
         let last = Last {
             step_us: None,
+            now_us: 0,
             state: ArmState::Disarmed,
             pulses_us: [config.params.esc.stop_us; 4],
             permitted: false,
@@ -95,14 +98,20 @@ impl Watched {
             assert_eq!(state, self.last.state, "a change that nobody is told of");
         }
 
-        if self.last.step_us.is_some_and(|last_us| input.time_us <= last_us) {
-            // Time does not run backwards: nothing is taken in, and the last output stands.
+        let since_last = self.last.step_us.map(|last_us| input.time_us.checked_sub(last_us));
+        if let Some(None | Some(0)) = since_last {
+            // Time does not run backwards: nothing is taken in, and the last output stands. A clock that was set
+            // back goes on from there.
+            if self.last.step_us.is_some_and(|last_us| last_us - input.time_us > u64::from(IMU_LOST_US)) {
+                self.last.step_us = Some(input.time_us);
+            }
             assert_eq!(
                 (state, pulses_us, permitted),
                 (self.last.state, self.last.pulses_us, self.last.permitted)
             );
             return;
         }
+        self.last.now_us = self.last.now_us.saturating_add(since_last.flatten().unwrap_or(0));
         self.take(input);
         self.must_not_turn(input, state, permitted);
         self.last.step_us = Some(input.time_us);
@@ -111,7 +120,8 @@ impl Watched {
     }
 
     fn take(&mut self, input: &Input) {
-        let (now_us, last) = (input.time_us, &mut self.last);
+        let last = &mut self.last;
+        let now_us = last.now_us;
         if input.imu.is_some_and(|sample| sample.gyro.iter().chain(&sample.accel).any(|n| *n != i16::MIN)) {
             last.imu_us = Some(now_us);
         }
@@ -129,7 +139,7 @@ impl Watched {
     /// What forbids a motor to turn, from the inputs' times alone.
     fn must_not_turn(&self, input: &Input, state: ArmState, permitted: bool) {
         let last = &self.last;
-        let age_us = |at_us: Option<u64>| at_us.map_or(u64::MAX, |at_us| input.time_us - at_us);
+        let age_us = |at_us: Option<u64>| at_us.map_or(u64::MAX, |at_us| last.now_us - at_us);
         if state.flies() {
             assert!(!input.health.usb, "{state:?} with USB plugged in");
             let imu_us = age_us(last.imu_us);
@@ -144,7 +154,7 @@ impl Watched {
             assert!(!input.health.maintenance, "armed in maintenance");
             let (at_us, voltage_v) = last.battery.expect("armed on an unknown battery");
             assert!(voltage_v >= self.config.params.min_arm_voltage_v, "armed on {voltage_v} V");
-            assert!(input.time_us - at_us <= 2_000_000, "armed on a battery measured long ago");
+            assert!(last.now_us - at_us <= 2_000_000, "armed on a battery measured long ago");
         }
         if state == ArmState::Bench && permitted {
             let command_us = age_us(last.bench_us);

@@ -4,7 +4,7 @@
 //! not), and then goes through phases in which each input is what it should be, nothing, or anything.
 
 use flight_core::calibration::{Calibration, Sensitivity, SensorCalibration};
-use flight_core::estimator::{EstimatorParams, Kinematics, Weight};
+use flight_core::estimator::{EstimatorParams, Kinematics, Method, Weight};
 use flight_core::geometry::{Mat3, Vec3};
 use flight_core::rc::{ArmBy, CENTRE_TICKS, HIGH_TICKS, LOW_TICKS};
 use flight_core::sample::{Battery, BenchCommand, Health, ImuSample, Input, LinkStatus, MagSample, RcFrame};
@@ -33,12 +33,13 @@ pub const SPECIAL: [f32; 14] = [
 pub const POWERS: [f32; 17] =
     [1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 0.1, 1.0, 10.0, 1e2, 1e3, 1e4, 1e5, 1e6, 1e7, 1e8];
 /// The filters, and the two that no preset has.
-pub const ESTIMATORS: [EstimatorParams; 5] = [
+pub const ESTIMATORS: [EstimatorParams; 6] = [
     EstimatorParams::FLIGHT,
     EstimatorParams::PAPER,
     EstimatorParams::PAPER_LITERAL,
-    EstimatorParams { weight: Weight::Fixed { alpha: 0.97 }, ..EstimatorParams::FLIGHT },
-    EstimatorParams { kinematics: Kinematics::Euler, ..EstimatorParams::FLIGHT },
+    EstimatorParams::ROBUST,
+    EstimatorParams::complementary(Kinematics::Quaternion, Weight::Fixed { alpha: 0.97 }),
+    EstimatorParams::complementary(Kinematics::Euler, Weight::TimeConstant { tau_s: 10.0 }),
 ];
 
 /// Bytes, and zeros behind them.
@@ -104,10 +105,11 @@ pub fn numbers(config: &mut Config) -> Vec<&mut f32> {
         all.extend(matrix(mounting));
     }
     all.extend(&mut p.prefilter_cutoff_hz);
-    all.push(match &mut p.estimator.weight {
-        Weight::TimeConstant { tau_s } => tau_s,
-        Weight::Fixed { alpha } => alpha,
-    });
+    match &mut p.estimator.method {
+        Method::Complementary { weight: Weight::TimeConstant { tau_s }, .. } => all.push(tau_s),
+        Method::Complementary { weight: Weight::Fixed { alpha }, .. } => all.push(alpha),
+        Method::Robust(robust) => all.extend([&mut robust.tilt_tau_s, &mut robust.heading_tau_s]),
+    }
     all.push(&mut p.estimator.declination_rad);
     let a = &mut p.airframe;
     all.extend([&mut a.thrust_coefficient, &mut a.torque_coefficient, &mut a.arm_m]);
@@ -152,7 +154,8 @@ fn config(bytes: &mut Bytes) -> Config {
         config.params.channels.arm = bytes.u8();
     }
     config.params.stuck_check.gyro = !bytes.one_in(4);
-    for _ in 0..bytes.u8() % 5 {
+    // Mostly none: a vehicle that is refused flies nothing.
+    for _ in 0..(bytes.u8() % 8).saturating_sub(4) {
         let index = usize::from(bytes.u8());
         let mut numbers = numbers(&mut config);
         let index = index % numbers.len();

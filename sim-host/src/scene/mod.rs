@@ -418,9 +418,16 @@ impl file::Flight {
                 || check::unknown("flight.estimator", &self.estimator, EstimatorParams::PRESETS.map(|p| p.0)),
             )?;
         if let Some(cutoff_hz) = self.prefilter_hz {
-            // The slowest sensor behind a prefilter decides.
+            // The fastest sensor behind a prefilter and the slowest one.
             let allowed = "Hz, half the magnetometer's rate";
-            check::between("flight.prefilter_hz", cutoff_hz, 0.0, f64::from(MAG_RATE_HZ) / 2.0, allowed)?;
+            let least_hz = f64::from(DEFAULT_RATE_HZ) / 2_000.0;
+            check::between(
+                "flight.prefilter_hz",
+                cutoff_hz,
+                least_hz,
+                f64::from(MAG_RATE_HZ) / 2.0,
+                allowed,
+            )?;
         }
         let declination_rad = match self.declination_deg {
             file::Declination::Model => declination_rad(field_ut),
