@@ -7,10 +7,10 @@
 use crate::config::{ConfigError, check};
 use crate::geometry::{Vec3, vec3};
 
-/// Lowest cutoff, as a share of the rate. The gain at zero frequency is 4K²/(D (1 + a₁ + a₂)), and of the sum below, which
-/// is 4K²/D, f32 loses up to 9e-8 by rounding a₁ and a₂. With K = π · 5e-4 that sum is 9.9e-6, and the gain
+/// Highest rate for a cutoff, as a multiple of it. The gain at zero frequency is 4K²/(D (1 + a₁ + a₂)), and of the sum below, which
+/// is 4K²/D, f32 loses up to 9e-8 by rounding a₁ and a₂. With K = π/2,000 that sum is 9.9e-6, and the gain
 /// right to 1 %; at a tenth of that cutoff it would be anything, or infinite.
-pub const MIN_CUTOFF: f32 = 5.0e-4;
+pub const MAX_RATE_PER_CUTOFF: f32 = 2_000.0;
 
 /// Coefficients of one second-order low-pass section:
 /// y\[k\] = b₀(x\[k\] + 2x\[k−1\] + x\[k−2\]) − a₁y\[k−1\] − a₂y\[k−2\].
@@ -32,14 +32,15 @@ impl Biquad {
     /// 8 kHz, 1 + a₁ + a₂ is 5e-4, and what is lost in it is lost in the gain.
     ///
     /// # Errors
-    /// A rate outside 1 Hz to 1 MHz, or a cutoff that isn't above [`MIN_CUTOFF`] of the rate and below half of it.
+    /// A rate outside 1 Hz to 1 MHz, or a cutoff that isn't below half the rate and above a
+    /// [`MAX_RATE_PER_CUTOFF`]th of it.
     pub fn butterworth(cutoff_hz: f32, rate_hz: f32) -> Result<Self, ConfigError> {
         check("prefilter.rate_hz", rate_hz, 1.0, 1.0e6)?;
-        if !(cutoff_hz > MIN_CUTOFF * rate_hz && cutoff_hz < 0.5 * rate_hz) {
+        if !(cutoff_hz > rate_hz / MAX_RATE_PER_CUTOFF && cutoff_hz < 0.5 * rate_hz) {
             return Err(ConfigError {
                 field: "prefilter.cutoff_hz",
                 value: cutoff_hz,
-                minimum: MIN_CUTOFF * rate_hz,
+                minimum: rate_hz / MAX_RATE_PER_CUTOFF,
                 maximum: 0.5 * rate_hz,
                 exclusive: true,
             });
@@ -236,7 +237,7 @@ mod tests {
     proptest! {
         #[test]
         fn constant_input_has_no_transient(
-            x in -2000.0_f32..2000.0, share in 1.01 * MIN_CUTOFF..0.45, rate in 1.0_f32..32_000.0,
+            x in -2000.0_f32..2000.0, share in 1.01 / MAX_RATE_PER_CUTOFF..0.45, rate in 1.0_f32..32_000.0,
         ) {
             let cutoff = share * rate;
             let mut filter = Prefilter::new(Some(Biquad::butterworth(cutoff, rate).unwrap()));
