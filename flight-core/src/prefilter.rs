@@ -9,7 +9,8 @@ use crate::geometry::{Vec3, vec3};
 
 /// Highest rate for a cutoff, as a multiple of it. The gain at zero frequency is 4K²/(D (1 + a₁ + a₂)), and of the sum below, which
 /// is 4K²/D, f32 loses up to 9e-8 by rounding a₁ and a₂. With K = π/2,000 that sum is 9.9e-6, and the gain
-/// right to 1 %; at a tenth of that cutoff it would be anything, or infinite.
+/// right to 1 %; at a tenth of that cutoff it would be anything, or infinite. As far below half the rate the same
+/// happens to the gain there.
 pub const MAX_RATE_PER_CUTOFF: f32 = 2_000.0;
 
 /// Coefficients of one second-order low-pass section:
@@ -32,16 +33,17 @@ impl Biquad {
     /// 8 kHz, 1 + a₁ + a₂ is 5e-4, and what is lost in it is lost in the gain.
     ///
     /// # Errors
-    /// A rate outside 1 Hz to 1 MHz, or a cutoff that isn't below half the rate and above a
-    /// [`MAX_RATE_PER_CUTOFF`]th of it.
+    /// A rate outside 1 Hz to 1 MHz, or a cutoff that isn't above a [`MAX_RATE_PER_CUTOFF`]th of the
+    /// rate, and as much below half of it.
     pub fn butterworth(cutoff_hz: f32, rate_hz: f32) -> Result<Self, ConfigError> {
         check("prefilter.rate_hz", rate_hz, 1.0, 1.0e6)?;
-        if !(cutoff_hz > rate_hz / MAX_RATE_PER_CUTOFF && cutoff_hz < 0.5 * rate_hz) {
+        let least = rate_hz / MAX_RATE_PER_CUTOFF;
+        if !(cutoff_hz > least && cutoff_hz < 0.5 * rate_hz - least) {
             return Err(ConfigError {
                 field: "prefilter.cutoff_hz",
                 value: cutoff_hz,
-                minimum: rate_hz / MAX_RATE_PER_CUTOFF,
-                maximum: 0.5 * rate_hz,
+                minimum: least,
+                maximum: 0.5 * rate_hz - least,
                 exclusive: true,
             });
         }

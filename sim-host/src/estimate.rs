@@ -194,7 +194,7 @@ fn prefilter(
     let rate_hz = intervals as f64 / (last - first);
     let section = Biquad::butterworth(cutoff_hz as f32, rate_hz as f32).map_err(|error| {
         refused(format!(
-            "must be above {} Hz and below {} Hz, half the rate of the {sensor}",
+            "must be above {} Hz and below {} Hz, just below half the rate of the {sensor}",
             error.minimum, error.maximum
         ))
     })?;
@@ -481,15 +481,15 @@ mod tests {
         for (cutoff, allowed) in [
             (
                 30.0,
-                "--prefilter-hz = 30: must be above 0.02 Hz and below 20 Hz, half the rate of the magnetometer",
+                "--prefilter-hz = 30: must be above 0.02 Hz and below 19.98 Hz, just below half the rate of the magnetometer",
             ),
             (
                 100.0,
-                "--prefilter-hz = 100: must be above 0.1 Hz and below 100 Hz, half the rate of the gyroscope",
+                "--prefilter-hz = 100: must be above 0.1 Hz and below 99.9 Hz, just below half the rate of the gyroscope",
             ),
             (
                 -1.0,
-                "--prefilter-hz = -1: must be above 0.1 Hz and below 100 Hz, half the rate of the gyroscope",
+                "--prefilter-hz = -1: must be above 0.1 Hz and below 99.9 Hz, just below half the rate of the gyroscope",
             ),
         ] {
             request.prefilter_hz = Some(cutoff);

@@ -75,7 +75,7 @@ fn cases() -> Vec<Case> {
             "a cutoff above Nyquist",
             "prefilter_hz = 30.0",
             "prefilter_hz = 50.0",
-            "bad.toml: flight.prefilter_hz = 50: must be above 0.5 and below 50 Hz, half the magnetometer's rate",
+            "bad.toml: flight.prefilter_hz = 50: must be above 0.5 and below 49.95 Hz, just below half the magnetometer's rate",
         ),
         scene(
             "an unknown estimator",

@@ -22,6 +22,7 @@ use flight_core::config::{Config, Params};
 use flight_core::estimator::EstimatorParams;
 use flight_core::geometry::{Mat3, Vec3, vec3};
 use flight_core::mixer::Airframe;
+use flight_core::prefilter::MAX_RATE_PER_CUTOFF;
 use flight_core::sample::RcFrame;
 
 use crate::earth_field::{Place, declination_rad};
@@ -419,15 +420,10 @@ impl file::Flight {
             )?;
         if let Some(cutoff_hz) = self.prefilter_hz {
             // The fastest sensor behind a prefilter and the slowest one.
-            let allowed = "Hz, half the magnetometer's rate";
-            let least_hz = f64::from(DEFAULT_RATE_HZ) / 2_000.0;
-            check::between(
-                "flight.prefilter_hz",
-                cutoff_hz,
-                least_hz,
-                f64::from(MAG_RATE_HZ) / 2.0,
-                allowed,
-            )?;
+            let allowed = "Hz, just below half the magnetometer's rate";
+            let least_of = |rate_hz: u32| f64::from(rate_hz) / f64::from(MAX_RATE_PER_CUTOFF);
+            let most_hz = f64::from(MAG_RATE_HZ) / 2.0 - least_of(MAG_RATE_HZ);
+            check::between("flight.prefilter_hz", cutoff_hz, least_of(DEFAULT_RATE_HZ), most_hz, allowed)?;
         }
         let declination_rad = match self.declination_deg {
             file::Declination::Model => declination_rad(field_ut),

@@ -1,0 +1,198 @@
+//! Attitudes at which angles, axes or norms come to an end.
+
+use std::f64::consts::PI;
+
+use flight_core::estimator::EstimatorParams;
+use flight_core::geometry::{Quaternion, Vec3, vec3};
+
+use crate::truth::{Body, double, is_accurate, rotation, tau_s};
+
+const DEGREE: f64 = PI / 180.0;
+const DT_S: f64 = 1e-3;
+
+/// Turns with consistent sensors leave rounding only: in a step f32 loses up to 3 ε in the product and the
+/// normalisation, 3.6e-7 rad, with a random sign, and the correction forgets it over τ: √(τ/2Δt) of them remain,
+/// 2.5e-5 rad with τ = 10 s. A systematic 1e-9 rad/s of what is left of the rate in f32 adds its τ. A fiftieth of a degree
+/// is ten times the sum.
+const ROUNDING_DEG: f64 = 0.02;
+
+/// Legs of a turn: rate, rad/s, and time, s. Returns the worst error of an accurate estimator over all of it; of the
+/// others only that it stays finite.
+fn fly(name: &str, params: &EstimatorParams, legs: &[(Vec3<f64>, f64)]) -> Body {
+    let mut body = Body::at(Quaternion::IDENTITY, params);
+    let mut worst = 0.0_f64;
+    for &(rate, seconds) in legs {
+        for _ in 0..(seconds / DT_S).round() as u32 {
+            body.turn(rate, DT_S);
+            let error = body.error_deg();
+            assert!(error.is_finite(), "{name}");
+            worst = worst.max(error);
+        }
+    }
+    assert!(!is_accurate(name) || worst < ROUNDING_DEG, "{name}: {worst}°");
+    body
+}
+
+/// An Euler preset is right again 5 τ after it has left the vertical: of half a turn e⁻⁵ is left in roll and in pitch,
+/// 1.2° each. Its heading is turned level by them, and so comes after them: (1 + 5) e⁻⁵ of half a turn, 7°; after
+/// 10 τ it is 0.09°.
+fn is_back(name: &str, params: &EstimatorParams, mut body: Body) {
+    let tau_steps = (tau_s(params) / DT_S).round() as u32;
+    let mut rest =
+        |body: &mut Body, taus: u32| (0..taus * tau_steps).for_each(|_| body.turn(Vec3::ZERO, DT_S));
+    rest(&mut body, 5);
+    assert!(body.inclination_deg() < 2.5, "{name}: {}° after 5 τ", body.inclination_deg());
+    rest(&mut body, 5);
+    assert!(body.error_deg() < 0.2, "{name}: {}° after 10 τ", body.error_deg());
+}
+
+#[test]
+fn pitch_through_the_vertical_slowly_fast_and_parked_there() {
+    let pitch = |deg_s: f64| vec3(0.0, deg_s * DEGREE, 0.0);
+    for (name, params) in EstimatorParams::PRESETS {
+        // Over the top and on to level.
+        for deg_s in [10.0, 90.0, 1_000.0] {
+            let body = fly(name, &params, &[(pitch(deg_s), 360.0 / deg_s)]);
+            is_back(name, &params, body);
+        }
+        // Up, ten seconds there, a turn about the long axis while it stands, and down again.
+        let parked = [
+            (pitch(45.0), 2.0),
+            (Vec3::ZERO, 10.0),
+            (vec3(90.0 * DEGREE, 0.0, 0.0), 4.0),
+            (pitch(-45.0), 2.0),
+        ];
+        let body = fly(name, &params, &parked);
+        is_back(name, &params, body);
+    }
+}
+
+#[test]
+fn inverted_flight() {
+    let roll = |deg_s: f64| vec3(deg_s * DEGREE, 0.0, 0.0);
+    for (name, params) in EstimatorParams::PRESETS {
+        let body = fly(name, &params, &[(roll(180.0), 1.0), (Vec3::ZERO, 30.0)]);
+        // Not the vertical: no angle ends here.
+        assert!(body.error_deg() < ROUNDING_DEG, "{name}: {}°", body.error_deg());
+        assert!(body.estimator.down().z < -0.999);
+        fly(name, &params, &[(roll(180.0), 1.0), (vec3(0.0, 0.0, 1.0), 6.0), (roll(-180.0), 1.0)]);
+    }
+}
+
+#[test]
+fn yaw_goes_round_and_round() {
+    for (name, params) in EstimatorParams::PRESETS {
+        for deg_s in [90.0, -400.0] {
+            let body = fly(name, &params, &[(vec3(0.0, 0.0, deg_s * DEGREE), 20.0)]);
+            assert!(body.error_deg() < ROUNDING_DEG, "{name}: {}°", body.error_deg());
+        }
+    }
+}
+
+#[test]
+fn spins_at_the_end_of_a_gyroscopes_range() {
+    for (name, params) in EstimatorParams::PRESETS {
+        for axis in [vec3(1.0, 0.0, 0.0), vec3(0.0, 1.0, 0.0), vec3(0.0, 0.0, 1.0), vec3(0.6, 0.64, 0.48)] {
+            // A rate in f32 is off by up to 3.5e-8 of itself, 1.2e-6 rad/s here, and leaves that times τ: 7e-4°.
+            let body = fly(name, &params, &[(axis * (2_000.0 * DEGREE), 10.0)]);
+            is_back(name, &params, body);
+        }
+    }
+}
+
+/// Euler's equations of a free body, and their attitude, by RK4 in f64.
+struct Tumbling {
+    rates: Vec3<f64>,
+}
+
+impl Tumbling {
+    /// The mean rate of the next step.
+    fn step(&mut self, dt_s: f64) -> Vec3<f64> {
+        // 1, 2, 3: the middle axis is the unstable one.
+        let slope = |w: Vec3<f64>| {
+            vec3((2.0 - 3.0) * w.y * w.z, (3.0 - 1.0) / 2.0 * w.z * w.x, (1.0 - 2.0) / 3.0 * w.x * w.y)
+        };
+        let w = self.rates;
+        let k1 = slope(w);
+        let k2 = slope(w + k1 * (0.5 * dt_s));
+        let k3 = slope(w + k2 * (0.5 * dt_s));
+        let k4 = slope(w + k3 * dt_s);
+        self.rates = w + (k1 + (k2 + k3) * 2.0 + k4) * (dt_s / 6.0);
+        w + (k1 + k2 + k3) * (dt_s / 6.0)
+    }
+}
+
+#[test]
+fn an_hour_of_tumbling_about_the_intermediate_axis() {
+    for (name, params) in EstimatorParams::PRESETS {
+        let mut body = Body::at(Quaternion::IDENTITY, &params);
+        let mut tumbling = Tumbling { rates: vec3(0.02, 6.0, 0.01) };
+        let (mut worst, mut flips, mut last) = (0.0_f64, 0_u32, 1.0_f64);
+        for _ in 0..3_600_000 {
+            body.turn(tumbling.step(DT_S), DT_S);
+            let error = body.error_deg();
+            assert!(error.is_finite(), "{name}");
+            worst = worst.max(error);
+            flips += u32::from(tumbling.rates.y.signum() != last);
+            last = tumbling.rates.y.signum();
+        }
+        assert!(flips > 200, "{flips} flips");
+        assert!(!is_accurate(name) || worst < 2.0 * ROUNDING_DEG, "{name}: {worst}°");
+    }
+}
+
+#[test]
+fn tumbling_with_nothing_to_hold_on_to_drifts_by_rounding_only() {
+    // In free fall, without a field: what f32 loses in a step adds up. 600,000 steps of 3 ε each, all of one sign, would
+    // be 0.2 rad; of random sign, 2.8e-4 rad. The reading's own rounding, 3e-8 of 6 rad/s, is 1e-4 rad in ten
+    // minutes if it never changed its sign.
+    for (name, params) in EstimatorParams::PRESETS.into_iter().filter(|(name, _)| is_accurate(name)) {
+        let mut body = Body::at(Quaternion::IDENTITY, &params);
+        let mut tumbling = Tumbling { rates: vec3(0.02, 6.0, 0.01) };
+        for _ in 0..600_000 {
+            body.turn_blind(tumbling.step(DT_S), DT_S);
+        }
+        assert!(body.error_deg() < 0.25, "{name}: {}°", body.error_deg());
+    }
+}
+
+#[test]
+fn half_a_turn_wrong_in_any_direction_is_found_back() {
+    // The axis of the shortest way back is not there: any will do, but one must be taken.
+    let axes = [vec3(1.0, 0.0, 0.0), vec3(0.0, 1.0, 0.0), vec3(0.6, 0.8, 0.0), vec3(-0.8, 0.6, 0.0)];
+    let attitudes = [Quaternion::IDENTITY, rotation(vec3(0.0, 0.0, 2.0)), rotation(vec3(0.0, 0.5 * PI, 0.0))];
+    for (name, params) in EstimatorParams::PRESETS {
+        for attitude in attitudes {
+            for axis in axes {
+                let mut body = Body::at(attitude * rotation(axis * PI), &params);
+                body.attitude = attitude;
+                // A field that turns with the start is given up after a minute; 12 τ are 120 s.
+                for _ in 0..20_000 {
+                    body.turn(Vec3::ZERO, 0.01);
+                    assert!(body.error_deg().is_finite(), "{name}");
+                }
+                let inclination = body.inclination_deg();
+                assert!(inclination < 0.1, "{name}, {axis:?}: {inclination}°");
+                assert!(
+                    !is_accurate(name) || body.error_deg() < 0.5,
+                    "{name}, {axis:?}: {}°",
+                    body.error_deg()
+                );
+            }
+        }
+    }
+}
+
+#[test]
+fn the_norm_does_not_drift() {
+    // Each update ends with a normalisation, which leaves 2 ε: nothing to add up, in 10⁹ updates no more than in these.
+    let mut tumbling = Tumbling { rates: vec3(0.3, 4.0, -2.0) };
+    for (name, params) in EstimatorParams::PRESETS {
+        let mut body = Body::at(rotation(vec3(0.3, -0.2, 1.0)), &params);
+        for _ in 0..1_000_000 {
+            body.turn_blind(tumbling.step(DT_S), DT_S);
+            let norm = double(body.estimator.attitude()).norm_squared().sqrt();
+            assert!((norm - 1.0).abs() < 4.0 * f64::from(f32::EPSILON), "{name}: {norm}");
+        }
+    }
+}

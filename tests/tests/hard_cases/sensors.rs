@@ -1,0 +1,144 @@
+//! Sensors that show nothing, too much, or at the wrong time.
+
+use flight_core::ArmState;
+use flight_core::estimator::EstimatorParams;
+use flight_core::geometry::{Quaternion, Vec3, vec3};
+use sim_host::flight::{Flight, Outcome};
+use sim_host::scene::Scene;
+
+use crate::truth::{Body, FIELD_UT, GRAVITY, is_accurate, rotation, single};
+
+#[test]
+fn ten_seconds_of_free_fall_change_nothing() {
+    for (name, params) in EstimatorParams::PRESETS {
+        let mut body = Body::at(rotation(vec3(0.3, 0.2, 1.0)), &params);
+        for _ in 0..10_000 {
+            body.turn_blind(Vec3::ZERO, 1e-3);
+        }
+        assert!(body.error_deg() < 0.02, "{name}: {}°", body.error_deg());
+    }
+}
+
+#[test]
+fn four_g_for_a_second_move_the_tilt_by_what_the_filters_say() {
+    // Level, pushed sideways by 4 g: the specific force points 76° off.
+    let pushed = single(vec3(0.0, 4.0 * GRAVITY.z, -GRAVITY.z));
+    let off = 4.0_f64.atan().to_degrees();
+    for (name, params) in EstimatorParams::PRESETS {
+        let mut body = Body::at(Quaternion::IDENTITY, &params);
+        for _ in 0..60_000 {
+            body.turn(Vec3::ZERO, 1e-3);
+        }
+        for _ in 0..1_000 {
+            body.estimator.update(Vec3::ZERO, pushed, Some(single(FIELD_UT)), 1e-3);
+        }
+        let bound = match name {
+            // Eq 18: 1 − e^(−t/τ) of it.
+            "flight" => off * (1.0 - (-0.1_f64).exp()) * 1.02,
+            // 0.645 Δv/(g τ) (docs/estimators.md), 0.52 rad.
+            "robust" => (0.645 * 4.0 / 5.0_f64).to_degrees(),
+            // Two time constants and more: it believes all of it, and its heading with it.
+            _ => 180.0,
+        };
+        assert!(body.error_deg() < bound, "{name}: {}°, {bound}°", body.error_deg());
+    }
+}
+
+#[test]
+fn no_field_and_a_vertical_one_leave_the_heading_to_the_gyroscope() {
+    for (name, params) in EstimatorParams::PRESETS {
+        for field in [Vec3::ZERO, vec3(0.0, 0.0, 48.0), vec3(1e-30, -1e-38, 0.0)] {
+            let mut body = Body::at(rotation(vec3(0.0, 0.0, 1.0)), &params);
+            for _ in 0..10_000 {
+                body.estimator.update(Vec3::ZERO, single(-GRAVITY), Some(single(field)), 1e-3);
+            }
+            assert!(body.error_deg() < 0.02, "{name}, {field:?}: {}°", body.error_deg());
+        }
+    }
+}
+
+#[test]
+fn a_gyroscope_at_its_end_costs_what_it_did_not_see_and_no_more() {
+    // 3,000 °/s for 0.2 s where 2,000 are seen: 200° are missed, and found back.
+    for (name, params) in EstimatorParams::PRESETS {
+        let mut body = Body::at(Quaternion::IDENTITY, &params);
+        let (true_rate, seen) = (vec3(3_000.0_f64.to_radians(), 0.0, 0.0), 2_000.0_f64.to_radians());
+        for _ in 0..200 {
+            let before = body.attitude;
+            body.attitude = (before * rotation(true_rate * 1e-3)).normalized();
+            let into_body = |v| body.attitude.conjugate().rotate(v);
+            let (accel, mag) = (single(into_body(-GRAVITY)), single(into_body(FIELD_UT)));
+            body.estimator.update(single(vec3(seen, 0.0, 0.0)), accel, Some(mag), 1e-3);
+            assert!(body.error_deg().is_finite(), "{name}");
+        }
+        for _ in 0..150_000 {
+            body.turn(Vec3::ZERO, 1e-3);
+        }
+        assert!(body.error_deg() < 0.5, "{name}: {}°", body.error_deg());
+    }
+}
+
+#[test]
+fn denormals_and_zeros_are_numbers() {
+    for (name, params) in EstimatorParams::PRESETS {
+        let mut body = Body::at(Quaternion::IDENTITY, &params);
+        for tiny in [0.0, -0.0, f32::MIN_POSITIVE, 1e-45, -1e-40] {
+            let v = vec3(tiny, -tiny, tiny);
+            for _ in 0..100 {
+                body.estimator.update(v, v, Some(v), 1e-3);
+                body.estimator.update(v, v, Some(v), 0.0);
+            }
+        }
+        assert!(body.error_deg() < 0.02, "{name}: {}°", body.error_deg());
+    }
+}
+
+/// `steps` with these tables on top, over five seeds; all land.
+fn flights(tables: &str) -> Vec<Outcome> {
+    let scene = Scene::parse("hard.toml", &format!("include = \"steps\"\n{tables}")).unwrap();
+    (0..5).map(|seed| Flight::new(&scene, seed).run(&mut ())).collect()
+}
+
+fn all_land_within(tables: &str, tilt_error_deg: f64) {
+    for outcome in flights(tables) {
+        assert_eq!((outcome.crash, outcome.final_state), (None, ArmState::Disarmed), "{tables}: {outcome:?}");
+        assert!(outcome.tilt_error_max_deg < tilt_error_deg, "{tables}: {outcome:?}");
+    }
+}
+
+#[test]
+fn spikes_at_full_scale_are_flown_through() {
+    // One sample of 2,000 °/s is 2° of turn that did not happen, 16 g for a millisecond 1e-4 of the way to anywhere.
+    for (sensor, axis) in [("gyro", "x"), ("gyro", "z"), ("accel", "y")] {
+        let spikes: String = (0..5)
+            .map(|k| {
+                let at_s = 14.2 + 0.5 * f64::from(k);
+                format!(
+                    "[[fault]]\nkind = \"spike\"\nsensor = \"{sensor}\"\naxis = \"{axis}\"\ncounts = 32767\nat_s = {at_s}\nfor_s = 0.001\n"
+                )
+            })
+            .collect();
+        all_land_within(&spikes, 1.8 + 2.2 * 5.0);
+    }
+}
+
+#[test]
+fn a_tenth_of_the_samples_lost_and_half_a_period_of_jitter() {
+    // `rough-sampling` has milder figures of both.
+    all_land_within("[effects.imu.dropped_samples]\nprobability = 0.1\n", 4.0);
+    all_land_within("[effects.imu.sampling_jitter]\nsigma_us = 160.0\n", 4.0);
+}
+
+#[test]
+fn a_gap_of_a_second_is_an_estimate_anew() {
+    for (name, params) in EstimatorParams::PRESETS {
+        let mut body = Body::at(Quaternion::IDENTITY, &params);
+        for _ in 0..5_000 {
+            body.turn(vec3(0.0, 0.0, 0.5), 1e-3);
+        }
+        // A quarter of a second of it in one step is still a turn.
+        body.turn(vec3(0.1, 0.2, 0.5), 1.0);
+        assert!(body.error_deg().is_finite());
+        assert!(!is_accurate(name) || body.error_deg() < 0.1, "{name}: {}°", body.error_deg());
+    }
+}

@@ -1,0 +1,92 @@
+//! A body that turns in f64, and what perfect sensors on it say.
+
+use flight_core::estimator::{Estimator, EstimatorParams, Method, Weight};
+use flight_core::geometry::{Quaternion, Vec3, vec3};
+use sim_host::attitude_error::AttitudeError;
+
+/// North, east, down.
+pub const GRAVITY: Vec3<f64> = vec3(0.0, 0.0, 9.80665);
+pub const FIELD_UT: Vec3<f64> = vec3(25.0, 0.0, 41.0);
+
+/// The rotation by a vector (axis times angle, rad).
+pub fn rotation(r: Vec3<f64>) -> Quaternion<f64> {
+    let angle = r.norm();
+    let share = if angle > 1e-9 { libm::sin(0.5 * angle) / angle } else { 0.5 };
+    Quaternion { w: libm::cos(0.5 * angle), v: r * share }
+}
+
+pub fn single(v: Vec3<f64>) -> Vec3<f32> {
+    Vec3::from(<[f64; 3]>::from(v).map(|x| x as f32))
+}
+
+pub fn double(q: Quaternion<f32>) -> Quaternion<f64> {
+    let [w, x, y, z] = q.to_array().map(f64::from);
+    Quaternion::new(w, x, y, z)
+}
+
+/// A body and an estimator on it.
+pub struct Body {
+    pub attitude: Quaternion<f64>,
+    pub estimator: Estimator,
+}
+
+impl Body {
+    /// At this attitude, with an estimator that has seen one sample there.
+    pub fn at(attitude: Quaternion<f64>, params: &EstimatorParams) -> Self {
+        let mut body = Self { attitude, estimator: Estimator::new(params).unwrap() };
+        body.sample(Vec3::ZERO, 0.0, true, true);
+        body
+    }
+
+    /// What the sensors show of gravity and field now, with this rate.
+    fn sample(&mut self, gyro: Vec3<f64>, dt_s: f64, gravity: bool, field: bool) {
+        let into_body = |v| self.attitude.conjugate().rotate(v);
+        let accel = if gravity { into_body(-GRAVITY) } else { Vec3::ZERO };
+        let mag = field.then(|| single(into_body(FIELD_UT)));
+        self.estimator.update(single(gyro), single(accel), mag, dt_s as f32);
+    }
+
+    /// Turns at a steady rate (rad/s, body axes) for one sample.
+    pub fn turn(&mut self, rate: Vec3<f64>, dt_s: f64) {
+        self.attitude = (self.attitude * rotation(rate * dt_s)).normalized();
+        self.sample(rate, dt_s, true, true);
+    }
+
+    /// The same with neither gravity nor field to be seen.
+    pub fn turn_blind(&mut self, rate: Vec3<f64>, dt_s: f64) {
+        self.attitude = (self.attitude * rotation(rate * dt_s)).normalized();
+        self.sample(rate, dt_s, false, false);
+    }
+
+    fn error(&self) -> Option<AttitudeError> {
+        let estimate = double(self.estimator.attitude());
+        let finite = estimate.to_array().iter().all(|part| part.is_finite());
+        finite.then(|| AttitudeError::between(estimate, self.attitude))
+    }
+
+    /// Estimate against truth, degrees; NaN if the estimate is not finite.
+    pub fn error_deg(&self) -> f64 {
+        self.error().map_or(f64::NAN, |error| error.total_rad.to_degrees())
+    }
+
+    /// The tilt's part of it.
+    pub fn inclination_deg(&self) -> f64 {
+        self.error().map_or(f64::NAN, |error| error.inclination_rad.to_degrees())
+    }
+}
+
+/// Whether the preset's accuracy is promised everywhere: the two that fly.
+pub fn is_accurate(name: &str) -> bool {
+    matches!(name, "flight" | "robust")
+}
+
+/// Time constant of a preset's tilt at 1 kHz, s.
+pub fn tau_s(params: &EstimatorParams) -> f64 {
+    match params.method {
+        Method::Complementary { weight: Weight::TimeConstant { tau_s }, .. } => tau_s.into(),
+        Method::Complementary { weight: Weight::Fixed { alpha }, .. } => {
+            1e-3 * f64::from(alpha / (1.0 - alpha))
+        }
+        Method::Robust(params) => params.tilt_tau_s.into(),
+    }
+}
