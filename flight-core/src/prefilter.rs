@@ -203,10 +203,10 @@ mod tests {
     }
 
     #[test]
-    fn cutoff_at_or_above_nyquist_is_an_error_that_names_the_range() {
+    fn cutoff_near_or_above_nyquist_is_an_error_that_names_the_range() {
         for cutoff in [500.0, 1e4, 0.0, -1.0, f32::NAN] {
             let error = Biquad::butterworth(cutoff, 1000.0).unwrap_err();
-            assert_eq!((error.field, error.maximum), ("prefilter.cutoff_hz", 500.0));
+            assert_eq!((error.field, error.maximum), ("prefilter.cutoff_hz", 499.5));
         }
         assert!(Biquad::butterworth(30.0, 0.0).is_err());
     }

@@ -25,7 +25,9 @@
 //! variances P weigh it: the filter is Kalman's for a bias that walks by [`BIAS_WALK`] and is seen through
 //! white noise of [`MOVING_NOISE`], or of [`REST_NOISE`] when the sensor lies still and the gyroscope itself is
 //! the measurement. Tilt says nothing of a bias about the vertical, heading of nothing else: P shrinks only in
-//! the directions that were seen.
+//! the directions that were seen. What has come through a low-pass comes from where the body's axes were meanwhile: they
+//! go through the same one (VQF does likewise). Taken for where they are now, the lean of a body that tumbles feeds
+//! its bias the wrong way round, and after half an hour the two have run away together.
 //!
 //! **Magnetic field.** A field whose level and vertical parts differ from those of the last
 //! [`FIELD_TAU_S`] by more than [`FIELD_TOLERANCE`] of its strength turns nothing (the test of VQF, in other
@@ -113,6 +115,10 @@ pub struct RobustFilter {
     tilt_age_s: f32,
     /// Low-passed level specific force in world axes, north and east, in g: in the mean the tilt error.
     lean: [f32; 2],
+    /// World north and east in body axes behind the same low-pass: where a bias in the lean came from.
+    seen: [Vec3<f32>; 2],
+    /// Down in body axes, low-passed as slowly as the heading is turned.
+    seen_down: Vec3<f32>,
     /// rad/s, body.
     bias: Vec3<f32>,
     /// (rad/s)², by axis.
@@ -134,6 +140,8 @@ impl RobustFilter {
             tilt_started: false,
             tilt_age_s: 0.0,
             lean: [0.0; 2],
+            seen: [Vec3::ZERO; 2],
+            seen_down: Vec3::ZERO,
             bias: Vec3::ZERO,
             variance: vec3(FIRST, FIRST, FIRST),
             rest: Rest::default(),
@@ -203,16 +211,21 @@ impl RobustFilter {
         *east += share * (u_east - *east);
         // δ × (0, 0, −1) = (−δ_y, δ_x, 0) is to take the lean away.
         let (north, east) = (*north, *east);
+        let [x, y, z] = self.q.to_matrix().rows;
+        let [seen_x, seen_y] = &mut self.seen;
+        *seen_x += (x - *seen_x) * share;
+        *seen_y += (y - *seen_y) * share;
+        self.seen_down += (z - self.seen_down) * (dt_s / (self.params.heading_tau_s + dt_s));
+        let (seen_x, seen_y) = (*seen_x, *seen_y);
         let share = dt_s / tau_s;
-        let back = self.q.conjugate().rotate(vec3(-share * east, share * north, 0.0));
-        self.q = self.q * Quaternion::from_rotation_vector(back);
+        self.q = self.q * Quaternion::from_rotation_vector(y * (share * north) - x * (share * east));
 
         self.variance += vec3(1.0, 1.0, 1.0) * (BIAS_WALK * BIAS_WALK * dt_s);
         if self.looks_for_rest && self.rest.lasts(gyro, accel, dt_s) {
             self.learn_at_rest(rates, dt_s);
         } else if settled && north * north + east * east < MAX_BIAS_LEAN * MAX_BIAS_LEAN {
-            let d = self.down;
-            self.learn(back, vec3(1.0, 1.0, 1.0) - d.scale_by(d), dt_s);
+            let back = seen_y * (share * north) - seen_x * (share * east);
+            self.learn(back, seen_x.scale_by(seen_x) + seen_y.scale_by(seen_y), dt_s);
         }
     }
 
@@ -287,8 +300,7 @@ impl RobustFilter {
             return;
         }
         if !self.rest.lasting() {
-            // The prediction's down is this one's: it was turned about it.
-            let d = self.q.down();
+            let d = self.seen_down;
             self.learn(d * back, d.scale_by(d), dt_s);
         }
         let rates = gyro - self.bias;

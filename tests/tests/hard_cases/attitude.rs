@@ -38,8 +38,7 @@ fn fly(name: &str, params: &EstimatorParams, legs: &[(Vec3<f64>, f64)]) -> Body 
 /// 10 τ it is 0.09°.
 fn is_back(name: &str, params: &EstimatorParams, mut body: Body) {
     let tau_steps = (tau_s(params) / DT_S).round() as u32;
-    let mut rest =
-        |body: &mut Body, taus: u32| (0..taus * tau_steps).for_each(|_| body.turn(Vec3::ZERO, DT_S));
+    let rest = |body: &mut Body, taus: u32| (0..taus * tau_steps).for_each(|_| body.turn(Vec3::ZERO, DT_S));
     rest(&mut body, 5);
     assert!(body.inclination_deg() < 2.5, "{name}: {}° after 5 τ", body.inclination_deg());
     rest(&mut body, 5);
