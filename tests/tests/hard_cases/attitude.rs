@@ -107,9 +107,10 @@ struct Tumbling {
 impl Tumbling {
     /// The mean rate of the next step.
     fn step(&mut self, dt_s: f64) -> Vec3<f64> {
-        // 1, 2, 3: the middle axis is the unstable one.
+        // The middle axis is the unstable one.
+        let [ix, iy, iz] = [1.0, 2.0, 3.0];
         let slope = |w: Vec3<f64>| {
-            vec3((2.0 - 3.0) * w.y * w.z, (3.0 - 1.0) / 2.0 * w.z * w.x, (1.0 - 2.0) / 3.0 * w.x * w.y)
+            vec3((iy - iz) / ix * w.y * w.z, (iz - ix) / iy * w.z * w.x, (ix - iy) / iz * w.x * w.y)
         };
         let w = self.rates;
         let k1 = slope(w);
