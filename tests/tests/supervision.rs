@@ -77,9 +77,15 @@ fn every_obstacle_has_its_name() {
     stuck.axis_stuck = true;
     assert_eq!(refused(stuck), refusal(Cause::ImuStuck));
 
-    let mut tilted = StillVehicle::new(&config());
-    tilted.tilt_deg = 30.0;
-    assert_eq!(refused(tilted), refusal(Cause::NotLevel));
+    let mut zeros = StillVehicle::new(&config());
+    zeros.all_zeros = true;
+    assert_eq!(refused(zeros), refusal(Cause::ImuStuck));
+
+    for tilt_deg in [30.0, 90.0, 180.0] {
+        let mut tilted = StillVehicle::new(&config());
+        tilted.tilt_deg = tilt_deg;
+        assert_eq!(refused(tilted), refusal(Cause::NotLevel));
+    }
 
     let mut moved = StillVehicle::new(&config());
     moved.shaken = true;
@@ -117,6 +123,28 @@ fn an_arm_switch_works_from_off_to_on_with_the_throttle_low_and_stops_within_a_t
     // The gesture means nothing now.
     vehicle.sticks(ARM).run_ms(5_000);
     assert_eq!(vehicle.state(), Disarmed);
+}
+
+#[test]
+fn a_sensor_that_shows_nothing_ends_the_flight_within_a_tenth_of_a_second_or_two() {
+    let end = |fault: fn(&mut StillVehicle), cause, after_ms| {
+        let mut vehicle = flying(&config());
+        fault(&mut vehicle);
+        vehicle.run_ms(after_ms);
+        assert_eq!(vehicle.state(), Armed, "{cause:?} too soon");
+        vehicle.run_ms(5);
+        assert_eq!(vehicle.events, [event(Armed, Terminated, cause)]);
+        vehicle.events.clear();
+        // It stays so when the sensor is back, after a second.
+        vehicle.run_ms(1_000);
+        (vehicle.sensor_dead, vehicle.all_zeros, vehicle.invalid_code) = (false, false, false);
+        vehicle.run_ms(3_000);
+        assert_eq!((vehicle.state(), vehicle.pulses_us), (Terminated, [1_000.0; 4]));
+    };
+    // No sample for 0.1 s; the code for "no sample"; and the same sample for 0.1 s.
+    end(|vehicle| vehicle.sensor_dead = true, Cause::ImuLost, 98);
+    end(|vehicle| vehicle.invalid_code = true, Cause::ImuLost, 98);
+    end(|vehicle| vehicle.all_zeros = true, Cause::ImuStuck, 98);
 }
 
 #[test]

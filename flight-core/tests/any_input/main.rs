@@ -73,3 +73,34 @@ fn every_number_of_a_configuration_may_be_anything() {
         }
     }
 }
+
+/// Every number at the two ends of its range, as the refusal of what is beyond them says; and then all of the controller's
+/// gains and limits at their largest at once.
+#[test]
+fn every_number_of_a_configuration_may_be_at_its_limit() {
+    let defaults = Config { params: Params::default(), calibration: Some(flight_core::Calibration::NONE) };
+    let count = script::numbers(&mut defaults.clone()).len();
+    let fly = |config: Config| {
+        let mut watched = Watched::new(&config)?;
+        Script::read(&mut Bytes::new(&[])).with(config).fly(&mut watched);
+        Some(())
+    };
+    let (mut flown, mut all_gains, mut gains) = (0, defaults, 0);
+    for index in 0..count {
+        let mut config = defaults;
+        *script::numbers(&mut config)[index] = f32::NAN;
+        let beyond = FlightController::new(&config).expect_err("NaN is no configuration");
+        for limit in [beyond.minimum, beyond.maximum] {
+            *script::numbers(&mut config)[index] = limit;
+            flown += usize::from(fly(config).is_some());
+        }
+        if beyond.field.starts_with("control.") {
+            *script::numbers(&mut all_gains)[index] = beyond.maximum;
+            gains += 1;
+        }
+    }
+    // A matrix is refused by what all of its numbers make together, and a limit may be beyond another one's.
+    assert!(flown > count, "{flown} of {count} numbers' limits are taken");
+    assert!(gains >= 18, "{gains} gains and limits of the controller");
+    fly(all_gains).expect("all gains at their largest are a configuration");
+}

@@ -7,6 +7,7 @@ use serde::Deserialize;
 use super::check::{unknown, within};
 use super::effects::Effects;
 use super::faults::Fault;
+use super::stiffness::check_legs;
 use super::tolerances::Tolerances;
 use crate::earth_field::Place;
 use crate::input_error::InputError;
@@ -147,6 +148,7 @@ impl Vehicle {
         within("scene.vehicle.torque_coefficient_n_m_s2", params.torque_coefficient, 1e-11, 0.1, "N m s²")?;
         within("scene.vehicle.max_rotor_rad_s", params.max_rad_s, 65.0, 1e4, "rad/s")?;
         within("scene.vehicle.leg_m", params.leg_m, 0.01, 1.0, "m")?;
+        check_legs(&params)?;
         Ok(params)
     }
 }

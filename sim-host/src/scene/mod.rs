@@ -11,6 +11,7 @@ mod faults;
 mod file;
 mod imu;
 mod source;
+mod stiffness;
 mod tolerances;
 
 use std::borrow::Cow;
@@ -193,6 +194,7 @@ impl Scene {
         let file::SceneFile { scene, flight, pilot, effects, faults, tolerances, .. } = file;
         let vehicle = scene.vehicle.build()?;
         effects.validate()?;
+        stiffness::check_drag(&effects.vehicle, &vehicle)?;
         faults.iter().try_for_each(faults::Fault::validate)?;
         let field_ut = scene.place.map_or(Place::ANKARA, file::PlaceTable::build).field_ut()?;
         let ball_joint = scene.mount == file::MountName::BallJoint;

@@ -46,6 +46,16 @@ impl Ground {
         Self { stiffness_n_m, damping_n_s_m }
     }
 
+    /// The smallest moment of inertia that steps of 1 ms can follow on these legs, kg·m².
+    ///
+    /// The four dampers turn the body back by 2 c l²/I, with c = 34.7/s · m for the 1 mm of [`REST_DEPTH_M`]; friction at
+    /// rest by (μ g/creep = 118/s) · m h²/I with legs of h, and about the vertical by 118/s · m l²/I. All are below
+    /// 120/s · m (l² + 2h²)/I, which with this bound is 2,400/s (RK4 is stable to 2,780/s); OS4's is 600/s.
+    pub fn least_inertia_kg_m2(params: &VehicleParams) -> f64 {
+        let VehicleParams { mass_kg, arm_m, leg_m, .. } = params;
+        mass_kg * (arm_m * arm_m + 2.0 * leg_m * leg_m) / 20.0
+    }
+
     /// Position of the centre of gravity at rest, m down (negative).
     pub(super) fn rest_position_m(&self, params: &VehicleParams) -> f64 {
         REST_DEPTH_M - params.leg_m

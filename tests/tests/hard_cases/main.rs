@@ -9,4 +9,5 @@ mod control;
 mod filters;
 mod models;
 mod sensors;
+mod statistics;
 mod truth;

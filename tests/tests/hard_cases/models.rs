@@ -1,8 +1,13 @@
 //! Worlds at the ends of their parameters.
 
 use flight_core::ArmState;
+use flight_core::geometry::{Quaternion, Vec3, vec3};
+use sim_host::effects::vehicle::{Lag, VehicleEffect};
 use sim_host::flight::{Crash, Flight, Outcome};
 use sim_host::scene::Scene;
+use sim_host::vehicle::{GRAVITY, Ground, Mount, State, Vehicle, VehicleParams};
+
+use crate::truth::rotation;
 
 fn hover_with(tables: &str) -> Result<Scene, String> {
     Scene::parse("hard.toml", &format!("include = \"hover\"\n{tables}")).map_err(|error| error.to_string())
@@ -33,6 +38,115 @@ fn stiff_motors_are_exact_at_any_step() {
 }
 
 #[test]
+fn stiff_motors_at_a_step_a_hundred_times_as_long() {
+    // τ = 0.1 ms in steps of 10 ms, where an explicit step would multiply the difference by 1 − h/τ = −99 each time. Every
+    // 50 ms another thrust. Motors that are instant differ by the first stage of the step after a command, which has a
+    // sixth of the weight: h/6 · ΔU1/m of speed.
+    let step_s = 0.01;
+    let climb = |effects| {
+        let ground = Mount::Free(Ground::new(&VehicleParams::OS4));
+        let mut vehicle = Vehicle::at_rest(VehicleParams::OS4, ground, effects, step_s);
+        for step in 0..500 {
+            if step % 5 == 0 {
+                vehicle.command([if step % 10 == 0 { 300.0 } else { 250.0 }; 4]);
+            }
+            vehicle.advance();
+            assert!(vehicle.state().is_finite());
+        }
+        (*vehicle.state(), vehicle.rotors())
+    };
+    let (stiff, speeds) = climb(vec![("motor_lag", VehicleEffect::Lag(Lag::new(1e-4, 1e-4, step_s)))]);
+    let (instant, wanted) = climb(vec![]);
+    assert_eq!(speeds, wanted, "e⁻¹⁰⁰ of the difference is left");
+    let b = VehicleParams::OS4.thrust_coefficient;
+    let first = step_s / 6.0 * 4.0 * b * 300.0_f64.powi(2) / VehicleParams::OS4.mass_kg;
+    let apart = (stiff.velocity - instant.velocity).norm();
+    assert!(apart < 1.01 * first, "{apart} m/s, {first} m/s");
+}
+
+/// Mechanical energy over the ground at rest, J/kg and J/kg of turning.
+fn energy_j_kg(params: &VehicleParams, state: &State) -> f64 {
+    let turning = state.rates.dot(state.rates.scale_by(params.inertia_kg_m2)) / params.mass_kg;
+    0.5 * (state.velocity.dot(state.velocity) + turning) - GRAVITY * state.position.z
+}
+
+#[test]
+fn ground_contact_at_any_speed_takes_energy_and_comes_to_rest() {
+    // Free fall from a kilometre is 140 m/s. A foot that goes deep is pushed by kN, and its friction, μ N/(0.05 m/s), is
+    // what a step of 1 ms can't follow: it may not give back more than it took.
+    let params = VehicleParams::OS4;
+    let upside_down = rotation(vec3(3.0, 0.4, 0.0));
+    for attitude in [Quaternion::IDENTITY, rotation(vec3(0.5, -0.3, 2.0)), upside_down] {
+        for velocity in
+            [vec3(0.0, 0.0, 20.0), vec3(0.0, 0.0, 140.0), vec3(60.0, -20.0, 30.0), vec3(90.0, 0.0, 0.1)]
+        {
+            for rates in [Vec3::ZERO, vec3(35.0, -10.0, 20.0)] {
+                let ground = Mount::Free(Ground::new(&params));
+                let mut vehicle = Vehicle::at_rest(params, ground, vec![], 1e-3);
+                let state = State { position: vec3(0.0, 0.0, -0.5), velocity, attitude, rates };
+                vehicle.set_state(state, [0.0; 4]);
+                let first = energy_j_kg(&params, &state);
+                let mut touched = false;
+                for _ in 0..20_000 {
+                    vehicle.advance();
+                    touched |= vehicle.touches_ground();
+                    let now = vehicle.state();
+                    assert!(now.is_finite(), "{state:?}");
+                    // The springs hold some of it meanwhile; what they give back is not more.
+                    let energy = energy_j_kg(&params, now);
+                    assert!(energy < first * (1.0 + 1e-9) + 1e-9, "{energy} of {first} J/kg from {state:?}");
+                }
+                assert!(touched);
+                let energy = 0.5 * vehicle.state().velocity.dot(vehicle.state().velocity);
+                println!("{velocity:?} {rates:?}: {energy:e}");
+            }
+        }
+    }
+}
+
+#[test]
+fn vehicles_at_the_ends_of_what_a_scene_may_say_are_refused_or_stand_still() {
+    let (mut stood, mut refused) = (0, 0);
+    for mass in [0.01, 0.65, 100.0] {
+        for inertia in [1e-6, 7.5e-3, 100.0] {
+            for arm in [0.02, 0.23, 5.0] {
+                // Feet that give by 1 mm right a vehicle by 500/m · l² for each m of height: higher, it topples in truth.
+                for leg in [0.01, 0.05, 1.0].into_iter().filter(|leg| 250.0 * arm * arm > *leg) {
+                    let table = format!(
+                        "[scene]\nvehicle = {{ like = \"os4\", mass_kg = {mass:?}, arm_m = {arm:?}, leg_m = {leg:?}, \
+                         inertia_kg_m2 = [{inertia:?}, {inertia:?}, {inertia:?}] }}\n"
+                    );
+                    match hover_with(&table) {
+                        Err(error) => {
+                            assert!(error.contains("scene.vehicle."), "{error}");
+                            refused += 1;
+                        }
+                        Ok(scene) => {
+                            let mut vehicle = Vehicle::at_rest(
+                                scene.vehicle,
+                                scene.mount(),
+                                scene.vehicle_effects(1, 1e3),
+                                1e-3,
+                            );
+                            let tilted = rotation(vec3(0.01, -0.02, 0.5));
+                            let state = *vehicle.state();
+                            vehicle.set_state(State { attitude: tilted, ..state }, [0.0; 4]);
+                            (0..10_000).for_each(|_| vehicle.advance());
+                            let now = vehicle.state();
+                            assert!(now.is_finite() && now.cos_tilt() > 0.99, "{table}: {now:?}");
+                            assert!(now.velocity.norm() < 0.1 && now.rates.norm() < 1.0, "{table}: {now:?}");
+                            stood += 1;
+                        }
+                    }
+                }
+            }
+        }
+    }
+    println!("{stood} stood, {refused} refused");
+    assert!(stood > 20 && refused > 10);
+}
+
+#[test]
 fn drag_of_nothing_and_of_honey() {
     let none = fly("[effects.vehicle.linear_drag]\na_kg_per_s = [0.0, 0.0, 0.0]\n");
     assert_eq!((none.crash, none.final_state), (None, ArmState::Disarmed));
@@ -40,6 +154,17 @@ fn drag_of_nothing_and_of_honey() {
     let honey = fly("[effects.vehicle.linear_drag]\na_kg_per_s = [500.0, 500.0, 500.0]\n");
     assert!(honey.crash.is_none(), "{honey:?}");
     assert!(honey.attitude_rmse_deg < 1.0, "{honey:?}");
+    // What is too stiff for the step is refused, whichever drag it is, and for a light vehicle sooner.
+    for (drag, says) in [
+        ("linear_drag]\na_kg_per_s = [0.0, 900.0, 0.0]", "vehicle.linear_drag"),
+        ("quadratic_drag]\ncd_area_m2 = [100.0, 1.0, 1.0]", "vehicle.quadratic_drag"),
+        ("rotor_drag]\nk_kg_per_rad = 1.0", "vehicle.rotor_drag"),
+    ] {
+        let error = hover_with(&format!("[effects.vehicle.{drag}\n")).unwrap_err();
+        assert!(error.contains(says) && error.contains("steps of 1 ms"), "{error}");
+    }
+    let light = "[scene]\nvehicle = { like = \"os4\", mass_kg = 0.02 }\n[effects.vehicle.linear_drag]\na_kg_per_s = [30.0, 0.0, 0.0]\n";
+    assert!(hover_with(light).unwrap_err().contains("at most"), "{light}");
 }
 
 #[test]

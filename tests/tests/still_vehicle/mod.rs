@@ -33,6 +33,7 @@ pub struct StillVehicle {
     pub sensor_dead: bool,
     pub invalid_code: bool,
     pub axis_stuck: bool,
+    pub all_zeros: bool,
     pub shaken: bool,
     pub tilt_deg: f64,
     pub misses_a_deadline_every_ms: Option<u64>,
@@ -56,6 +57,7 @@ impl StillVehicle {
             sensor_dead: false,
             invalid_code: false,
             axis_stuck: false,
+            all_zeros: false,
             shaken: false,
             tilt_deg: 0.0,
             misses_a_deadline_every_ms: None,
@@ -142,6 +144,9 @@ impl StillVehicle {
     fn sample(&self) -> ImuSample {
         if self.invalid_code {
             return ImuSample { gyro: [i16::MIN; 3], accel: [i16::MIN; 3] };
+        }
+        if self.all_zeros {
+            return ImuSample::default();
         }
         // A count of noise, which repeats after seven milliseconds and in which no axis stands still.
         let noise = |axis: u64| ((self.ms + axis) % 7 % 3) as i16 - 1;
