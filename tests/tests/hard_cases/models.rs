@@ -92,6 +92,8 @@ fn ground_contact_at_any_speed_takes_energy_and_comes_to_rest() {
                     touched |= vehicle.touches_ground();
                     let now = vehicle.state();
                     assert!(now.is_finite(), "{state:?}");
+                    // Nothing but gravity pulls down: a foot that leaves the ground is let go.
+                    assert!(vehicle.acceleration().z <= GRAVITY + 1e-9, "{:?}", vehicle.acceleration());
                     // The springs hold some of it meanwhile; what they give back is not more.
                     let energy = energy_j_kg(&params, now);
                     assert!(energy < first * (1.0 + 1e-9) + 1e-9, "{energy} of {first} J/kg from {state:?}");

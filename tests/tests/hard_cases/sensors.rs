@@ -62,6 +62,10 @@ fn four_g_for_half_a_minute_are_followed_as_a_tilt_and_no_further() {
             let most = off * if name == "robust" { 1.0 + overshoot } else { 1.0 + 1e-3 };
             assert!(tilt < most, "{name}: {tilt}°");
         }
+        // It was a manoeuvre, and not a bias: what is learnt of one is what the last degrees look like.
+        let bias = body.estimator.gyro_bias().norm().to_degrees();
+        println!("{name}: {bias} °/s");
+        assert!(bias < 0.3, "{name}: a bias of {bias} °/s");
         // And back, when it is over.
         let tau_steps = (tau_s(&params) * 1e3) as u32;
         (0..8 * tau_steps).for_each(|_| body.turn(Vec3::ZERO, 1e-3));
