@@ -64,7 +64,6 @@ fn four_g_for_half_a_minute_are_followed_as_a_tilt_and_no_further() {
         }
         // It was a manoeuvre, and not a bias: what is learnt of one is what the last degrees look like.
         let bias = body.estimator.gyro_bias().norm().to_degrees();
-        println!("{name}: {bias} °/s");
         assert!(bias < 0.3, "{name}: a bias of {bias} °/s");
         // And back, when it is over.
         let tau_steps = (tau_s(&params) * 1e3) as u32;
