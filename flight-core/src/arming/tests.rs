@@ -125,6 +125,7 @@ fn followed(rows: &[Row], now: C) -> Option<(ArmState, Cause)> {
 }
 
 #[test]
+#[cfg_attr(miri, ignore = "2^19 combinations of each state")]
 fn every_state_under_every_combination_of_conditions_does_what_is_promised() {
     assert_eq!(C::all().bits(), (1 << 19) - 1);
     for state in ArmState::ALL {
@@ -135,6 +136,7 @@ fn every_state_under_every_combination_of_conditions_does_what_is_promised() {
 }
 
 #[test]
+#[cfg_attr(miri, ignore = "2^19 combinations of each state")]
 fn no_row_can_be_left_out() {
     for state in ArmState::ALL {
         for index in 0..rows(state).len() {
@@ -162,6 +164,7 @@ fn every_row_stands_with_its_state_and_asks_for_no_condition_that_it_excludes() 
 
 /// Properties that hold whatever the rows say, so that a mistake made in both versions above is found.
 #[test]
+#[cfg_attr(miri, ignore = "2^19 combinations of each state")]
 fn what_must_never_happen_does_not() {
     for state in ArmState::ALL {
         for now in every_combination() {

@@ -27,7 +27,8 @@ fn fly(bytes: &[u8]) -> Option<BTreeSet<&'static str>> {
 fn whatever_comes_in() {
     let reached = Mutex::new(BTreeSet::new());
     let refused = Mutex::new(0_u32);
-    let cases = ProptestConfig::default().cases.max(2_000);
+    // Miri takes a second for a step of a millisecond: it sees a few, and not the odds.
+    let cases = if cfg!(miri) { 2 } else { ProptestConfig::default().cases.max(2_000) };
     let mut runner = TestRunner::new(ProptestConfig { cases, ..ProptestConfig::default() });
     runner
         .run(&prop::collection::vec(any::<u8>(), 0..400), |bytes| {
@@ -38,6 +39,9 @@ fn whatever_comes_in() {
             Ok(())
         })
         .unwrap_or_else(|failure| panic!("{failure}"));
+    if cfg!(miri) {
+        return;
+    }
     let refused = *refused.lock().unwrap();
     assert!(refused > cases / 20 && refused < cases / 2, "{refused} of {cases} configurations refused");
     let all: BTreeSet<_> = ArmState::ALL.map(ArmState::name).into();
@@ -47,6 +51,7 @@ fn whatever_comes_in() {
 /// A scene, a file or a link may bring any configuration. One number out of a hundred that is wrong is refused
 /// with its name and range, or harmless.
 #[test]
+#[cfg_attr(miri, ignore = "20,000 flights")]
 fn every_number_of_a_configuration_may_be_anything() {
     let defaults = Config { params: Params::default(), calibration: Some(flight_core::Calibration::NONE) };
     let count = script::numbers(&mut defaults.clone()).len();
