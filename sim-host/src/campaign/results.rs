@@ -43,6 +43,9 @@ const RUN: [&str; 13] = [
     "digest",
 ];
 
+/// More steps than the longest flight has, 10⁶ s; a sum of them over all runs that a machine holds is still a number.
+const MOST_STEPS: u64 = 1_000_000_000;
+
 /// Before the name of a column that was drawn.
 const DRAWN: &str = "drawn.";
 
@@ -276,12 +279,28 @@ impl<'a, R: Read> Rows<'a, R> {
         self.text(column).parse().map_err(|_| self.wrong(column, "must be a number"))
     }
 
+    fn duration_s(&self) -> Result<f64, InputError> {
+        let duration_s = self.number("duration_s")?;
+        if (0.01..=1.0e6).contains(&duration_s) {
+            Ok(duration_s)
+        } else {
+            Err(self.wrong("duration_s", "must be from 0.01 to 1000000 s"))
+        }
+    }
+
+    fn control_steps(&self) -> Result<u64, InputError> {
+        match self.whole("control_steps")? {
+            steps @ 0..=MOST_STEPS => Ok(steps),
+            _ => Err(self.wrong("control_steps", &format!("must be from 0 to {MOST_STEPS}"))),
+        }
+    }
+
     fn campaign(&self) -> Result<Campaign, InputError> {
         Ok(Campaign {
             scene: self.text("scene").into(),
             scene_hash: self.hash("scene_hash")?,
             version: self.text("version").into(),
-            duration_s: self.number("duration_s")?,
+            duration_s: self.duration_s()?,
             first_seed: self.whole("first_seed")?,
             runs: self.whole("runs")?,
         })
@@ -323,7 +342,7 @@ impl<'a, R: Read> Rows<'a, R> {
         Ok(Run {
             number,
             outcome: Outcome {
-                control_steps: self.whole("control_steps")?,
+                control_steps: self.control_steps()?,
                 attitude_rmse_deg: self.number("attitude_rmse_deg")?,
                 heading_rmse_deg: self.number("heading_rmse_deg")?,
                 inclination_rmse_deg: self.number("inclination_rmse_deg")?,
