@@ -217,6 +217,7 @@ fn armed() -> Arming {
 }
 
 #[test]
+#[cfg_attr(miri, ignore = "6,000 steps")]
 fn a_refusal_is_said_once_and_the_pilot_must_let_go_before_the_next_try() {
     let mut arming = super::Arming::new(1);
     run(&mut arming, C::empty(), 1);
@@ -227,12 +228,14 @@ fn a_refusal_is_said_once_and_the_pilot_must_let_go_before_the_next_try() {
 }
 
 #[test]
+#[cfg_attr(miri, ignore = "10,000 steps")]
 fn what_is_asked_from_the_start_is_no_request() {
     let mut arming = super::Arming::new(1);
     assert!(run(&mut arming, C::ARM, 10_000).is_empty());
 }
 
 #[test]
+#[cfg_attr(miri, ignore = "1,400 steps of each obstacle")]
 fn an_obstacle_that_comes_up_while_arming_takes_it_back() {
     for (obstacle, cause) in OBSTACLES {
         let mut arming = super::Arming::new(1);
@@ -246,6 +249,7 @@ fn an_obstacle_that_comes_up_while_arming_takes_it_back() {
 }
 
 #[test]
+#[cfg_attr(miri, ignore = "8,000 steps")]
 fn a_descent_without_a_link_ends_after_its_time_and_with_one_in_the_pilots_hands() {
     let lost = C::RC_LOST | C::THROTTLE_UP;
     let mut arming = armed();

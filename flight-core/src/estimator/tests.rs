@@ -122,6 +122,7 @@ fn declination_turns_the_heading_east() {
 }
 
 #[test]
+#[cfg_attr(miri, ignore = "1,000 steps of each filter")]
 fn free_fall_and_a_vertical_field_correct_nothing() {
     for mut e in all() {
         let q = euler(0.3, 0.2, 1.0);
@@ -393,6 +394,7 @@ mod robust {
     }
 
     #[test]
+    #[cfg_attr(miri, ignore = "74,000 steps")]
     fn in_motion_a_bias_leaves_tau_times_itself_of_tilt_and_less_later() {
         let mut e = robust();
         rest(&mut e, Vec3::ZERO, 10.0, 0.005);
@@ -548,7 +550,7 @@ mod robust {
             samples in prop::collection::vec(
                 (anything(40.0), anything(160.0), prop::option::of(anything(60.0)),
                     prop_oneof![4 => 0.0..0.02_f32, 1 => any::<f32>()]),
-                1..200,
+                1..if cfg!(miri) { 20 } else { 200 },
             ),
         ) {
             let mut e = robust();

@@ -27,7 +27,7 @@ fn fly(bytes: &[u8]) -> Option<BTreeSet<&'static str>> {
 fn whatever_comes_in() {
     let reached = Mutex::new(BTreeSet::new());
     let refused = Mutex::new(0_u32);
-    // Miri takes a second for a step of a millisecond: it sees a few, and not the odds.
+    // A flight takes Miri minutes: it sees two, and not the odds.
     let cases = if cfg!(miri) { 2 } else { ProptestConfig::default().cases.max(2_000) };
     let mut runner = TestRunner::new(ProptestConfig { cases, ..ProptestConfig::default() });
     runner
