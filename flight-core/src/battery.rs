@@ -82,6 +82,7 @@ mod tests {
     }
 
     #[test]
+    #[cfg_attr(miri, ignore = "27,000 steps")]
     fn a_dip_is_not_critical_and_what_is_stays_so_until_the_flight_is_over() {
         let mut watch = BatteryWatch::new(10.5, 9.0);
         assert!(!run(&mut watch, Some(8.0), true, 2_999).1);

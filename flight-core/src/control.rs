@@ -339,6 +339,7 @@ mod tests {
     }
 
     #[test]
+    #[cfg_attr(miri, ignore = "120,000 steps")]
     fn integrator_holds_while_the_mixer_is_full_and_is_bounded() {
         let tilted = vec3(0.0, 0.5, 0.866_025_4);
         let full = Saturation { roll_pitch: true, yaw: true };

@@ -132,7 +132,7 @@ impl FlightController {
     /// one's repeats the last output; if it is before that by more than [`IMU_LOST_US`], the clock was set back,
     /// and time goes on from there.
     ///
-    /// The output is finite and in range, whatever comes in.
+    /// The output is finite and in range, whatever comes in: see [the crate's description](crate#any-input).
     #[inline]
     pub fn step(&mut self, input: &Input) -> Output {
         let (first, dt_us) = match self.time_us {

@@ -19,6 +19,13 @@
 //! World north-east-down, body forward-right-down. Quaternions are Hamilton, scalar first, body to world.
 //! Euler angles are yaw, pitch, roll (ZYX). The accelerometer measures specific force: level and at rest it
 //! reads (0, 0, −9.80665) m/s². SI units and radians inside; any other unit stands in the name.
+//!
+//! # Any input
+//! No NaN and no infinity leaves this crate, and none stays in its state, whatever comes in: any counts, sticks, supply
+//! and times, in any order, under any configuration that [`FlightController::new`] takes; what it does not take it
+//! names, with the range. The one number that is kept as it came is the battery's voltage, which is only compared.
+//! `tests/any_input` checks it with configurations and flights at random, and the fuzz targets `flight_step` and
+//! `hil_frames` with those that a fuzzer finds (`docs/fuzzing.md`).
 #![no_std]
 #![deny(unsafe_code)]
 // Tests may take the C library's functions as a second opinion: see clippy.toml.

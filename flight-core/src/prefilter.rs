@@ -229,6 +229,7 @@ mod tests {
     }
 
     #[test]
+    #[cfg_attr(miri, ignore = "40,000 steps of each design")]
     fn half_power_at_the_cutoff() {
         for (cutoff, rate) in [(30.0, 1000.0), (30.0, 100.0), (100.0, 8000.0)] {
             let gain = gain_at(f64::from(cutoff), cutoff, rate);

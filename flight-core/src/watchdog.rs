@@ -144,6 +144,7 @@ mod tests {
     }
 
     #[test]
+    #[cfg_attr(miri, ignore = "millions of microseconds")]
     fn every_combination_of_silent_tasks() {
         for set in 0..1_u32 << TASKS {
             let (mut roll, mut now_us) = all_present();

@@ -2,6 +2,7 @@
 //! does not compile.
 
 #[test]
+#[cfg_attr(miri, ignore = "runs the compiler")]
 fn there_is_no_other_way_to_a_permit() {
     trybuild::TestCases::new().compile_fail("tests/no_other_permit/*.rs");
 }

@@ -125,6 +125,7 @@ fn followed(rows: &[Row], now: C) -> Option<(ArmState, Cause)> {
 }
 
 #[test]
+#[cfg_attr(miri, ignore = "2^19 combinations of each state")]
 fn every_state_under_every_combination_of_conditions_does_what_is_promised() {
     assert_eq!(C::all().bits(), (1 << 19) - 1);
     for state in ArmState::ALL {
@@ -135,6 +136,7 @@ fn every_state_under_every_combination_of_conditions_does_what_is_promised() {
 }
 
 #[test]
+#[cfg_attr(miri, ignore = "2^19 combinations of each state")]
 fn no_row_can_be_left_out() {
     for state in ArmState::ALL {
         for index in 0..rows(state).len() {
@@ -162,6 +164,7 @@ fn every_row_stands_with_its_state_and_asks_for_no_condition_that_it_excludes() 
 
 /// Properties that hold whatever the rows say, so that a mistake made in both versions above is found.
 #[test]
+#[cfg_attr(miri, ignore = "2^19 combinations of each state")]
 fn what_must_never_happen_does_not() {
     for state in ArmState::ALL {
         for now in every_combination() {
@@ -214,6 +217,7 @@ fn armed() -> Arming {
 }
 
 #[test]
+#[cfg_attr(miri, ignore = "6,000 steps")]
 fn a_refusal_is_said_once_and_the_pilot_must_let_go_before_the_next_try() {
     let mut arming = super::Arming::new(1);
     run(&mut arming, C::empty(), 1);
@@ -224,12 +228,14 @@ fn a_refusal_is_said_once_and_the_pilot_must_let_go_before_the_next_try() {
 }
 
 #[test]
+#[cfg_attr(miri, ignore = "10,000 steps")]
 fn what_is_asked_from_the_start_is_no_request() {
     let mut arming = super::Arming::new(1);
     assert!(run(&mut arming, C::ARM, 10_000).is_empty());
 }
 
 #[test]
+#[cfg_attr(miri, ignore = "1,400 steps of each obstacle")]
 fn an_obstacle_that_comes_up_while_arming_takes_it_back() {
     for (obstacle, cause) in OBSTACLES {
         let mut arming = super::Arming::new(1);
@@ -243,6 +249,7 @@ fn an_obstacle_that_comes_up_while_arming_takes_it_back() {
 }
 
 #[test]
+#[cfg_attr(miri, ignore = "8,000 steps")]
 fn a_descent_without_a_link_ends_after_its_time_and_with_one_in_the_pilots_hands() {
     let lost = C::RC_LOST | C::THROTTLE_UP;
     let mut arming = armed();

@@ -50,6 +50,7 @@ fn first_sample_sets_the_attitude() {
 }
 
 #[test]
+#[cfg_attr(miri, ignore = "4,000 steps")]
 fn constant_bias_tilts_the_paper_by_32_33_steps_of_it() {
     // o = α(o + bΔt) has the fixed point αbΔt/(1 − α) = 32.33 Δt b.
     for params in [EstimatorParams::PAPER, EstimatorParams::PAPER_LITERAL] {
@@ -63,6 +64,7 @@ fn constant_bias_tilts_the_paper_by_32_33_steps_of_it() {
 }
 
 #[test]
+#[cfg_attr(miri, ignore = "20,000 steps")]
 fn constant_bias_tilts_flight_by_tau_of_it() {
     let mut e = Estimator::new(&EstimatorParams::FLIGHT).unwrap();
     for _ in 0..20_000 {
@@ -85,6 +87,7 @@ fn weights_at_the_rates_of_the_design() {
 }
 
 #[test]
+#[cfg_attr(miri, ignore = "7,000 steps of each filter")]
 fn follows_turns_through_half_a_turn_without_a_jump() {
     // About each axis in turn, 1 rad/s for 7 s: past ±180° of roll and yaw, and back.
     for (axis, singular) in [(0, false), (1, true), (2, false)] {
@@ -119,6 +122,7 @@ fn declination_turns_the_heading_east() {
 }
 
 #[test]
+#[cfg_attr(miri, ignore = "1,000 steps of each filter")]
 fn free_fall_and_a_vertical_field_correct_nothing() {
     for mut e in all() {
         let q = euler(0.3, 0.2, 1.0);
@@ -133,6 +137,7 @@ fn free_fall_and_a_vertical_field_correct_nothing() {
 }
 
 #[test]
+#[cfg_attr(miri, ignore = "thousands of steps of each filter")]
 fn a_start_upside_down_from_the_truth_converges() {
     for (n, mut e) in all().into_iter().enumerate() {
         let (accel, mag) = at_rest(euler(PI, 0.0, 0.0));
@@ -161,6 +166,7 @@ fn the_young_flight_filter_is_the_mean_of_its_measurements() {
 }
 
 #[test]
+#[cfg_attr(miri, ignore = "10,000 steps of each filter")]
 fn parked_at_the_vertical_all_stay_finite() {
     for mut e in all() {
         let (accel, mag) = at_rest(euler(0.0, FRAC_PI_2, 0.0));
@@ -206,6 +212,7 @@ fn remainder(x: f64) -> f64 {
 }
 
 #[test]
+#[cfg_attr(miri, ignore = "thousands of steps in f64")]
 fn paper_equals_a_filter_in_f64_over_random_motion() {
     // Ten minutes at 1 kHz: every axis turns by sines of unrelated frequencies, at up to 100 °/s, with pitch
     // within ±60°, roll and yaw past ±180°, and accelerometer and magnetometer see accelerations and
@@ -291,6 +298,7 @@ mod zero {
     const BIAS: Vec3<f32> = vec3(0.02, -0.01, 0.005);
 
     #[test]
+    #[cfg_attr(miri, ignore = "3,000 steps")]
     fn learns_a_bias_at_rest_and_keeps_it() {
         let mut zero = GyroZero::default();
         for k in 0..3000_u16 {
@@ -306,6 +314,7 @@ mod zero {
     }
 
     #[test]
+    #[cfg_attr(miri, ignore = "6,000 steps")]
     fn a_turntable_and_a_shaken_vehicle_teach_nothing() {
         let mut zero = GyroZero::default();
         for _ in 0..3000 {
@@ -347,6 +356,7 @@ mod robust {
     }
 
     #[test]
+    #[cfg_attr(miri, ignore = "seconds of rest at many rates")]
     fn a_first_rest_shows_the_bias_at_any_rate() {
         let bias = vec3(3.0, -2.0, 1.0) * DEGREE;
         for rate_hz in [100.0, 285.7, 1000.0, 8000.0] {
@@ -369,6 +379,7 @@ mod robust {
     }
 
     #[test]
+    #[cfg_attr(miri, ignore = "12,000 steps")]
     fn at_rest_a_change_of_the_bias_is_followed_with_five_seconds() {
         let mut e = robust();
         let step = 0.5 * DEGREE;
@@ -383,6 +394,7 @@ mod robust {
     }
 
     #[test]
+    #[cfg_attr(miri, ignore = "74,000 steps")]
     fn in_motion_a_bias_leaves_tau_times_itself_of_tilt_and_less_later() {
         let mut e = robust();
         rest(&mut e, Vec3::ZERO, 10.0, 0.005);
@@ -401,6 +413,7 @@ mod robust {
     }
 
     #[test]
+    #[cfg_attr(miri, ignore = "5,000 steps of each push")]
     fn a_push_moves_the_tilt_by_no_more_than_its_speed_over_g_and_tau() {
         // a for T adds Δv = a T: the bound of the module's documentation, 0.645 Δv/(g τ), is met for T ≪ τ.
         for (accel, seconds, least) in [(5.0, 0.2, 0.9), (2.0, 1.0, 0.8), (-3.0, 0.5, 0.9)] {
@@ -420,6 +433,7 @@ mod robust {
     }
 
     #[test]
+    #[cfg_attr(miri, ignore = "5,000 steps")]
     fn there_and_back_moves_the_tilt_by_the_way_and_not_by_the_speed() {
         // 3 m/s² for half a second, and back: 0.75 m. For times ≪ τ it is the slope of the impulse response that
         // counts, at most 2/τ²: 2 · 0.75 m/(g τ²) = 0.35°. A complementary filter with this τ is off by 1.7° in between.
@@ -436,6 +450,7 @@ mod robust {
     }
 
     #[test]
+    #[cfg_attr(miri, ignore = "10,000 steps of each rate")]
     fn a_slow_steady_turn_is_no_rest() {
         for rate_deg_s in [3.0_f32, 6.0, 12.0] {
             let mut e = robust();
@@ -450,6 +465,7 @@ mod robust {
     }
 
     #[test]
+    #[cfg_attr(miri, ignore = "minutes of rest")]
     fn a_start_in_a_gust_does_not_spoil_the_field() {
         // The first sample has 2 m/s² of wind in it: 11.5° of tilt, and 8 µT between level and vertical.
         let mut e = robust();
@@ -461,6 +477,7 @@ mod robust {
     }
 
     #[test]
+    #[cfg_attr(miri, ignore = "12,000 steps")]
     fn a_magnetic_disturbance_turns_nothing_until_it_is_the_place() {
         let mut e = robust();
         rest(&mut e, Vec3::ZERO, 30.0, 0.01);
@@ -476,6 +493,7 @@ mod robust {
     }
 
     #[test]
+    #[cfg_attr(miri, ignore = "24,000 steps")]
     fn a_field_that_turns_with_the_sensor_is_learnt() {
         let mut e = robust();
         let own = vec3(1.5, -1.0, 1.0);
@@ -503,6 +521,7 @@ mod robust {
     }
 
     #[test]
+    #[cfg_attr(miri, ignore = "20,000 steps")]
     fn without_a_magnetometer_the_tilt_is_the_same() {
         let (mut six, mut nine) = (robust(), robust());
         for k in 0..20_000_u16 {
@@ -531,7 +550,7 @@ mod robust {
             samples in prop::collection::vec(
                 (anything(40.0), anything(160.0), prop::option::of(anything(60.0)),
                     prop_oneof![4 => 0.0..0.02_f32, 1 => any::<f32>()]),
-                1..200,
+                1..if cfg!(miri) { 20 } else { 200 },
             ),
         ) {
             let mut e = robust();
@@ -545,6 +564,7 @@ mod robust {
         }
 
         #[test]
+        #[cfg_attr(miri, ignore = "12,000 steps of each case")]
         fn every_attitude_is_reached_from_every_other(
             from in [-PI..PI, -1.5..1.5_f32, -PI..PI], to in [-PI..PI, -1.5..1.5_f32, -PI..PI],
         ) {

@@ -27,10 +27,12 @@ fn fly(bytes: &[u8]) -> Option<BTreeSet<&'static str>> {
 fn whatever_comes_in() {
     let reached = Mutex::new(BTreeSet::new());
     let refused = Mutex::new(0_u32);
-    let cases = ProptestConfig::default().cases.max(2_000);
+    let usual = ProptestConfig::default().cases.max(2_000);
+    // A step takes Miri a hundredth of a second: it sees a short flight, and not the odds.
+    let (cases, longest) = if cfg!(miri) { (1, 80) } else { (usual, 400) };
     let mut runner = TestRunner::new(ProptestConfig { cases, ..ProptestConfig::default() });
     runner
-        .run(&prop::collection::vec(any::<u8>(), 0..400), |bytes| {
+        .run(&prop::collection::vec(any::<u8>(), 0..longest), |bytes| {
             match fly(&bytes) {
                 Some(states) => reached.lock().unwrap().extend(states),
                 None => *refused.lock().unwrap() += 1,
@@ -38,6 +40,9 @@ fn whatever_comes_in() {
             Ok(())
         })
         .unwrap_or_else(|failure| panic!("{failure}"));
+    if cfg!(miri) {
+        return;
+    }
     let refused = *refused.lock().unwrap();
     assert!(refused > cases / 20 && refused < cases / 2, "{refused} of {cases} configurations refused");
     let all: BTreeSet<_> = ArmState::ALL.map(ArmState::name).into();
@@ -47,6 +52,7 @@ fn whatever_comes_in() {
 /// A scene, a file or a link may bring any configuration. One number out of a hundred that is wrong is refused
 /// with its name and range, or harmless.
 #[test]
+#[cfg_attr(miri, ignore = "20,000 flights")]
 fn every_number_of_a_configuration_may_be_anything() {
     let defaults = Config { params: Params::default(), calibration: Some(flight_core::Calibration::NONE) };
     let count = script::numbers(&mut defaults.clone()).len();

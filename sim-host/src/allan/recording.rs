@@ -12,8 +12,9 @@
 //! A column is held as doubles and turned into its running sums in place: 0.8 GB for 10⁸ rows. The file is
 //! read again as often as it takes for no more than [`MEMORY`] to be held at once.
 
+use std::fmt;
 use std::fs::File;
-use std::io::Read;
+use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 
 use crate::input_error::InputError;
@@ -32,10 +33,29 @@ const JITTER: f64 = 0.1;
 /// Differences that the converter's step is looked for in.
 const STEP_SAMPLES: usize = 4096;
 
+/// What can be read from its beginning, as often as it takes.
+pub trait Source: fmt::Debug {
+    /// A reader at the beginning.
+    fn open(&self) -> io::Result<Box<dyn Read + '_>>;
+}
+
+impl Source for PathBuf {
+    fn open(&self) -> io::Result<Box<dyn Read + '_>> {
+        Ok(Box::new(File::open(self)?))
+    }
+}
+
+impl Source for Vec<u8> {
+    fn open(&self) -> io::Result<Box<dyn Read + '_>> {
+        Ok(Box::new(self.as_slice()))
+    }
+}
+
 /// A file whose layout is known.
 #[derive(Debug)]
 pub struct Recording {
     path: PathBuf,
+    source: Box<dyn Source>,
     separator: u8,
     /// Names, or numbers from 1 if there is no header.
     names: Vec<String>,
@@ -111,19 +131,33 @@ impl Recording {
     /// # Errors
     /// A file that cannot be read, has no rows, or whose layout is in doubt.
     pub fn open(path: impl AsRef<Path>, layout: Layout) -> Result<Self, InputError> {
-        let path = path.as_ref().to_path_buf();
-        let cannot_read =
-            |error: std::io::Error| InputError::new(format!("cannot be read: {error}")).file(&path);
-        let found = std::fs::metadata(&path).map_err(cannot_read)?;
+        let path = path.as_ref();
+        let found = std::fs::metadata(path)
+            .map_err(|error| InputError::new(format!("cannot be read: {error}")).file(path))?;
         if !found.is_file() {
             return Err(
-                InputError::new("must be a regular file: it may have to be read more than once").file(&path)
+                InputError::new("must be a regular file: it may have to be read more than once").file(path)
             );
         }
+        Self::of(path.to_path_buf(), found.len(), path, layout)
+    }
+
+    /// Finds the layout of so many bytes; `path` is what errors call them.
+    ///
+    /// # Errors
+    /// As of a file.
+    pub fn of(
+        source: impl Source + 'static,
+        bytes: u64,
+        path: impl AsRef<Path>,
+        layout: Layout,
+    ) -> Result<Self, InputError> {
+        let path = path.as_ref().to_path_buf();
+        let cannot_read = |error: io::Error| InputError::new(format!("cannot be read: {error}")).file(&path);
         let mut glimpse = Vec::new();
-        let file = File::open(&path).map_err(cannot_read)?;
-        file.take(GLIMPSE).read_to_end(&mut glimpse).map_err(cannot_read)?;
-        if (glimpse.len() as u64) < found.len() {
+        let start = source.open().map_err(cannot_read)?;
+        start.take(GLIMPSE).read_to_end(&mut glimpse).map_err(cannot_read)?;
+        if (glimpse.len() as u64) < bytes {
             // The last line is cut off: it would be a row of its own kind.
             let whole = glimpse.iter().rposition(|&b| b == b'\n').map_or(glimpse.len(), |at| at + 1);
             glimpse.truncate(whole);
@@ -146,7 +180,8 @@ impl Recording {
             (1..=first.len()).map(|number| number.to_string()).collect()
         };
         let bytes_per_row = glimpse.len() as f64 / rows.len() as f64;
-        Ok(Self { path, separator, names, has_header, bytes: found.len(), bytes_per_row })
+        let source = Box::new(source);
+        Ok(Self { path, source, separator, names, has_header, bytes, bytes_per_row })
     }
 
     /// The names of the columns; numbers from 1 if there is no header.
@@ -216,8 +251,8 @@ impl Recording {
         progress: &dyn Fn(u64),
     ) -> Result<Contents, InputError> {
         let cannot_read = |error: &dyn std::fmt::Display| self.error(format!("cannot be read: {error}"));
-        let file = File::open(&self.path).map_err(|error| cannot_read(&error))?;
-        let mut records = Records::separated_by(self.separator, Some(b'#'), file);
+        let source = self.source.open().map_err(|error| cannot_read(&error))?;
+        let mut records = Records::separated_by(self.separator, Some(b'#'), source);
         let estimate = (self.bytes as f64 / self.bytes_per_row * 1.02) as usize + 16;
         let mut builders: Vec<Builder> =
             columns.iter().map(|(at, name)| Builder::new(*at, name, estimate)).collect();

@@ -19,7 +19,7 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use crate::flight::{Flight, Outcome};
 use crate::scene::{Drawn, Scene};
 
-pub use results::{merge, write};
+pub use results::{merge, merge_with, to_csv, write};
 pub use summary::{Summary, drawn_json, outcome_json};
 
 /// What makes two runs of the same number the same flight.

@@ -12,7 +12,8 @@
 //! | `drawn.…` | what the tolerances have drawn, in the scene's order |
 
 use std::collections::BTreeMap;
-use std::io::Write as _;
+use std::fs::File;
+use std::io::{self, Read, Write as _};
 use std::path::{Path, PathBuf};
 
 use flight_core::ArmState;
@@ -42,6 +43,9 @@ const RUN: [&str; 13] = [
     "digest",
 ];
 
+/// More steps than the longest flight has, 10⁶ s; a sum of them over all runs that a machine holds is still a number.
+const MOST_STEPS: u64 = 1_000_000_000;
+
 /// Before the name of a column that was drawn.
 const DRAWN: &str = "drawn.";
 
@@ -50,9 +54,17 @@ const DRAWN: &str = "drawn.";
 /// # Errors
 /// The file cannot be written.
 pub fn write(mut file: OutputFile, campaign: &Campaign, runs: &[Run]) -> Result<(), InputError> {
-    let text = table(campaign, runs).map_err(|error| InputError::new(error.to_string()))?;
+    let text = to_csv(campaign, runs)?;
     file.write_all(&text).map_err(|error| file.error(&error))?;
     file.finish()
+}
+
+/// What [`write`] writes.
+///
+/// # Errors
+/// None of what a campaign gives; runs that have drawn different quantities are no table.
+pub fn to_csv(campaign: &Campaign, runs: &[Run]) -> Result<Vec<u8>, InputError> {
+    table(campaign, runs).map_err(|error| InputError::new(error.to_string()))
 }
 
 fn table(campaign: &Campaign, runs: &[Run]) -> Result<Vec<u8>, csv::Error> {
@@ -111,10 +123,21 @@ fn table(campaign: &Campaign, runs: &[Run]) -> Result<Vec<u8>, csv::Error> {
 /// # Errors
 /// A part that is none, or of another campaign; a run that is there twice; runs that are missing.
 pub fn merge(parts: &[PathBuf]) -> Result<(Campaign, Vec<Run>), InputError> {
+    merge_with(parts, |path| File::open(path))
+}
+
+/// [`merge`], with the parts opened by `open`.
+///
+/// # Errors
+/// As there.
+pub fn merge_with<R: Read>(
+    parts: &[PathBuf],
+    open: impl Fn(&Path) -> io::Result<R>,
+) -> Result<(Campaign, Vec<Run>), InputError> {
     let mut whole: Option<(Campaign, Vec<String>, &Path)> = None;
     let mut runs: BTreeMap<u64, (Run, &Path)> = BTreeMap::new();
     for path in parts {
-        let mut rows = Rows::open(path)?;
+        let mut rows = Rows::open(path, &open)?;
         while rows.advance()? {
             let campaign = rows.campaign()?;
             match &whole {
@@ -145,7 +168,7 @@ pub fn merge(parts: &[PathBuf]) -> Result<(Campaign, Vec<Run>), InputError> {
 }
 
 /// Whether a row belongs to the campaign of the first one.
-fn same(rows: &Rows, campaign: &Campaign, first: &Campaign, of: &Path) -> Result<(), InputError> {
+fn same<R: Read>(rows: &Rows<R>, campaign: &Campaign, first: &Campaign, of: &Path) -> Result<(), InputError> {
     // In this order: another scene has another hash, too.
     for (field, what, is) in [
         ("scene", "scene", campaign.scene == first.scene),
@@ -184,18 +207,18 @@ fn complete(campaign: &Campaign, runs: &BTreeMap<u64, (Run, &Path)>) -> Result<(
 }
 
 /// The rows of one part.
-struct Rows<'a> {
+struct Rows<'a, R> {
     path: &'a Path,
-    reader: csv::Reader<std::fs::File>,
+    reader: csv::Reader<R>,
     record: csv::StringRecord,
     /// Names of what was drawn.
     drawn: Vec<String>,
 }
 
-impl<'a> Rows<'a> {
-    fn open(path: &'a Path) -> Result<Self, InputError> {
+impl<'a, R: Read> Rows<'a, R> {
+    fn open(path: &'a Path, open: impl Fn(&Path) -> io::Result<R>) -> Result<Self, InputError> {
         let unreadable = |error: csv::Error| InputError::new(format!("cannot be read: {error}")).file(path);
-        let mut reader = csv::Reader::from_path(path).map_err(unreadable)?;
+        let mut reader = csv::Reader::from_reader(open(path).map_err(|error| unreadable(error.into()))?);
         let header = reader.headers().map_err(unreadable)?;
         if header.is_empty() {
             return Err(InputError::new("the file is empty: no part of a campaign").file(path));
@@ -256,12 +279,28 @@ impl<'a> Rows<'a> {
         self.text(column).parse().map_err(|_| self.wrong(column, "must be a number"))
     }
 
+    fn duration_s(&self) -> Result<f64, InputError> {
+        let duration_s = self.number("duration_s")?;
+        if (0.01..=1.0e6).contains(&duration_s) {
+            Ok(duration_s)
+        } else {
+            Err(self.wrong("duration_s", "must be from 0.01 to 1000000 s"))
+        }
+    }
+
+    fn control_steps(&self) -> Result<u64, InputError> {
+        match self.whole("control_steps")? {
+            steps @ 0..=MOST_STEPS => Ok(steps),
+            _ => Err(self.wrong("control_steps", &format!("must be from 0 to {MOST_STEPS}"))),
+        }
+    }
+
     fn campaign(&self) -> Result<Campaign, InputError> {
         Ok(Campaign {
             scene: self.text("scene").into(),
             scene_hash: self.hash("scene_hash")?,
             version: self.text("version").into(),
-            duration_s: self.number("duration_s")?,
+            duration_s: self.duration_s()?,
             first_seed: self.whole("first_seed")?,
             runs: self.whole("runs")?,
         })
@@ -303,7 +342,7 @@ impl<'a> Rows<'a> {
         Ok(Run {
             number,
             outcome: Outcome {
-                control_steps: self.whole("control_steps")?,
+                control_steps: self.control_steps()?,
                 attitude_rmse_deg: self.number("attitude_rmse_deg")?,
                 heading_rmse_deg: self.number("heading_rmse_deg")?,
                 inclination_rmse_deg: self.number("inclination_rmse_deg")?,

@@ -143,6 +143,11 @@ fn parts_that_do_not_make_a_whole_are_refused() {
         altered("Disarmed", "Disarmd").starts_with("altered.csv:2: final_state = Disarmd: must be one of")
     );
     assert!(altered(",50,", ",50.5,").contains("control_steps = 50.5: must be a whole number"));
+    assert!(
+        altered(",50,", ",18446744073709551615,")
+            .contains("control_steps = 18446744073709551615: must be from")
+    );
+    assert!(altered(",0.05,", ",NaN,").ends_with("duration_s = NaN: must be from 0.01 to 1000000 s"));
     assert!(altered("drawn.mass_kg", "mass_kg").contains("must be a column that begins with drawn."));
     let empty = directory.path().join("empty.csv");
     std::fs::write(&empty, "").unwrap();

@@ -455,6 +455,23 @@ impl<W: Wire> Autopilot for Link<W> {
     }
 }
 
+/// What the firmware says of itself may be any number: a full counter stays full.
 fn sum(a: Received, b: Received) -> Received {
-    Received { corrupt: a.corrupt + b.corrupt, lost: a.lost + b.lost, repeated: a.repeated + b.repeated }
+    Received {
+        corrupt: a.corrupt.saturating_add(b.corrupt),
+        lost: a.lost.saturating_add(b.lost),
+        repeated: a.repeated.saturating_add(b.repeated),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn counters_of_a_firmware_that_says_anything_stay_full() {
+        let all = |n| Received { corrupt: n, lost: n, repeated: n };
+        assert_eq!(sum(all(u32::MAX), all(2)), all(u32::MAX));
+        assert_eq!(sum(all(3), all(2)), all(5));
+    }
 }

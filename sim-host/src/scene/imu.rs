@@ -10,7 +10,7 @@ use toml::de::{DeTable, DeValue};
 
 use super::check;
 use super::effects::Effects;
-use super::source::{self, Sources};
+use super::source::{self, ReadText, Sources};
 use crate::input_error::InputError;
 use crate::sensors::Converter;
 
@@ -32,13 +32,13 @@ pub fn name_in(scene: &DeTable<'_>) -> Option<String> {
 }
 
 /// Name and text of a built-in preset, or of a file beside the scene.
-pub fn find(imu: &str, scene: &Path) -> Result<(String, String), InputError> {
+pub fn find(imu: &str, scene: &Path, read: ReadText) -> Result<(String, String), InputError> {
     if let Some((name, text)) = PRESETS.iter().find(|(name, _)| *name == imu) {
         return Ok((format!("imu {name}"), (*text).into()));
     }
     let path = scene.with_file_name(imu);
     if imu.ends_with(".toml") {
-        let text = std::fs::read_to_string(&path).map_err(|error| {
+        let text = read(&path).map_err(|error| {
             InputError::new(format!("cannot be read: {error}"))
                 .file(scene)
                 .field("scene.imu")

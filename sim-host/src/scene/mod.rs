@@ -41,6 +41,7 @@ use toml::Spanned;
 use toml::de::DeValue;
 
 pub use built_in::{BUILT_IN, BuiltIn};
+pub use source::ReadText;
 pub use tolerances::Drawn;
 
 /// Steps of the simulation, and samples of gyroscope and accelerometer, per second.
@@ -60,8 +61,11 @@ struct Included {
     text: String,
 }
 
+/// Scenes that include each other in a row; more of them are a circle that goes by ever other names.
+const MOST_INCLUDED: usize = 16;
+
 impl Included {
-    fn of(name: &str, text: &str) -> Result<Vec<Self>, InputError> {
+    fn of(name: &str, text: &str, read: ReadText) -> Result<Vec<Self>, InputError> {
         let mut list: Vec<Self> = Vec::new();
         let (mut name, mut text) = (name.to_owned(), text.to_owned());
         while let Some(next) = source::text_at(&name, &text, "include")? {
@@ -70,7 +74,7 @@ impl Included {
             } else {
                 // Beside the file that includes it.
                 let path = Path::new(&name).with_file_name(&next);
-                let text = std::fs::read_to_string(&path).map_err(|error| {
+                let text = read(&path).map_err(|error| {
                     InputError::new(format!(
                         "is no built-in scene, and {} cannot be read: {error}",
                         path.display()
@@ -81,7 +85,7 @@ impl Included {
                 })?;
                 Self { name: path.display().to_string(), text }
             };
-            if list.iter().any(|included| included.name == found.name) {
+            if list.len() == MOST_INCLUDED || list.iter().any(|included| included.name == found.name) {
                 return Err(InputError::new("a scene includes itself")
                     .file(&name)
                     .field("include")
@@ -152,7 +156,7 @@ impl Scene {
             .field("SCENE")
             .value(name_or_path));
         }
-        let text = std::fs::read_to_string(path)
+        let text = source::text_of(path)
             .map_err(|error| InputError::new(format!("cannot be read: {error}")).file(path))?;
         Self::parse(name_or_path, &text)
     }
@@ -162,10 +166,18 @@ impl Scene {
     /// # Errors
     /// Anything wrong in the text, in the scene it includes or in its sensors' preset.
     pub fn parse(name: &str, text: &str) -> Result<Self, InputError> {
+        Self::parse_with(name, text, &source::text_of)
+    }
+
+    /// [`Scene::parse`], with the files that the scene names read by `read`.
+    ///
+    /// # Errors
+    /// As there.
+    pub fn parse_with(name: &str, text: &str, read: ReadText) -> Result<Self, InputError> {
         if text.trim().is_empty() {
             return Err(InputError::new("is empty; a scene needs a [scene] table").file(name));
         }
-        let below = Included::of(name, text)?;
+        let below = Included::of(name, text, read)?;
         // Declared before the sources that borrow them.
         let (preset_name, preset_text);
         let mut sources = Sources::default();
@@ -175,7 +187,7 @@ impl Scene {
             table = merge(table, under);
         }
         let imu = imu::name_in(&table).unwrap_or_default();
-        (preset_name, preset_text) = imu::find(&imu, Path::new(name))?;
+        (preset_name, preset_text) = imu::find(&imu, Path::new(name), read)?;
         let (preset, figures) = ImuPreset::read(&mut sources, &preset_name, &preset_text)?;
         if let Some(DeValue::Table(effects)) = table.get_mut("effects").map(Spanned::get_mut) {
             complete(effects, &figures);

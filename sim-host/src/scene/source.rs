@@ -4,6 +4,10 @@
 //! the figures that it doesn't give. The merge is of tables, key by key. The spans of the second and further
 //! texts are shifted behind the first's, so that one number says file and line.
 
+use std::fs::File;
+use std::io::{self, Read as _};
+use std::path::Path;
+
 use serde::de::DeserializeOwned;
 use toml::Spanned;
 use toml::de::{DeTable, DeValue, Deserializer};
@@ -11,6 +15,21 @@ use xxhash_rust::xxh3::xxh3_64;
 
 use super::check::with_suggestion;
 use crate::input_error::InputError;
+
+/// Reads a file that a scene names.
+pub type ReadText<'a> = &'a dyn Fn(&Path) -> io::Result<String>;
+
+/// The longest text, bytes. A device that never ends is no scene.
+const LONGEST_TEXT: u64 = 1 << 20;
+
+/// The text of a file on disk.
+pub fn text_of(path: &Path) -> io::Result<String> {
+    let mut text = String::new();
+    if File::open(path)?.take(LONGEST_TEXT + 1).read_to_string(&mut text)? as u64 > LONGEST_TEXT {
+        return Err(io::Error::other(format!("longer than {LONGEST_TEXT} bytes")));
+    }
+    Ok(text)
+}
 
 /// The texts that a scene was put together from.
 #[derive(Default)]
@@ -80,18 +99,30 @@ pub fn string(table: &DeTable<'_>, key: &str) -> Option<String> {
 }
 
 fn shifted(table: DeTable<'_>, by: usize) -> DeTable<'_> {
-    let moved = |span: std::ops::Range<usize>| span.start + by..span.end + by;
     table
         .into_iter()
         .map(|(key, value)| {
-            let (key_span, value_span) = (moved(key.span()), moved(value.span()));
-            let value = match value.into_inner() {
-                DeValue::Table(inner) => DeValue::Table(shifted(inner, by)),
-                other => other,
-            };
-            (Spanned::new(key_span, key.into_inner()), Spanned::new(value_span, value))
+            let span = key.span().start + by..key.span().end + by;
+            (Spanned::new(span, key.into_inner()), shifted_value(value, by))
         })
         .collect()
+}
+
+fn shifted_value(value: Spanned<DeValue<'_>>, by: usize) -> Spanned<DeValue<'_>> {
+    let span = value.span().start + by..value.span().end + by;
+    let value = match value.into_inner() {
+        DeValue::Table(inner) => DeValue::Table(shifted(inner, by)),
+        // In place: whether it is an array of tables stays with it.
+        DeValue::Array(mut inner) => {
+            for item in inner.iter_mut() {
+                let place = Spanned::new(0..0, DeValue::Boolean(false));
+                *item = shifted_value(std::mem::replace(item, place), by);
+            }
+            DeValue::Array(inner)
+        }
+        other => other,
+    };
+    Spanned::new(span, value)
 }
 
 /// `over` on top of `under`: tables are merged, everything else is replaced.

@@ -196,3 +196,34 @@ fn no_effect_moves_the_draws_of_another() {
 fn the_file_of_every_effect_has_every_effect() {
     assert_eq!(Scene::parse("every", EVERY_EFFECT).unwrap().left_out(), Vec::<&str>::new());
 }
+
+/// A scene, with `text` for every file that it names.
+fn with_files(scene: &str, text: &str) -> Result<Scene, InputError> {
+    Scene::parse_with("scene.toml", scene, &|_| Ok(text.into()))
+}
+
+#[test]
+fn an_array_of_an_included_scene_knows_its_file_and_line() {
+    let below = "[[fault]]\nkind = \"dead\"\nsensor = \"imu\"\nat_s = 0.5\nfr_s = 1.0\n";
+    // As many characters of three bytes as lie before the wrong key, and then some: its place is inside one.
+    let above = format!("include = \"below.toml\"\n# {}\n{BARE}", "…".repeat(100));
+    let said = with_files(&above, below).unwrap_err().to_string();
+    assert!(said.starts_with("below.toml:5: unknown field `fr_s`"), "{said}");
+}
+
+#[test]
+fn a_circle_of_includes_ends_by_whatever_names_it_goes() {
+    let said =
+        with_files("include = \"./scene.toml\"\n", "include = \"./scene.toml\"\n").unwrap_err().to_string();
+    assert!(said.contains("include = ./") && said.ends_with("a scene includes itself"), "{said}");
+}
+
+#[test]
+fn a_text_without_an_end_is_no_scene() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("long.toml");
+    std::fs::write(&path, "#".repeat(1 << 20)).unwrap();
+    assert!(source::text_of(&path).is_ok());
+    std::fs::write(&path, "#".repeat((1 << 20) + 1)).unwrap();
+    assert_eq!(source::text_of(&path).unwrap_err().to_string(), "longer than 1048576 bytes");
+}

@@ -1,0 +1,36 @@
+//! The results of a campaign: its parts, parted by zero bytes.
+//!
+//! Parts that make a whole are the same when they are written and read again, and can be summed up.
+#![no_main]
+
+use std::io;
+use std::path::{Path, PathBuf};
+
+use libfuzzer_sys::fuzz_target;
+use sim_host::campaign::{Summary, merge_with, to_csv};
+
+fuzz_target!(|data: &[u8]| {
+    let parts: Vec<&[u8]> = data.split(|byte| *byte == 0).collect();
+    let paths: Vec<PathBuf> = (0..parts.len()).map(|n| n.to_string().into()).collect();
+    let open = |path: &Path| {
+        let place = paths.iter().position(|other| other == path).ok_or(io::ErrorKind::NotFound)?;
+        Ok::<&[u8], io::Error>(parts[place])
+    };
+    let (campaign, runs) = match merge_with(&paths, open) {
+        Ok(whole) => whole,
+        Err(error) => {
+            let said = error.to_string();
+            assert!(!said.is_empty() && !said.contains('\n'), "{said:?}");
+            return;
+        }
+    };
+    assert_eq!(runs.len() as u64, campaign.runs);
+    assert!(runs.iter().zip(0..).all(|(run, number)| run.number == number));
+    let text = to_csv(&campaign, &runs).unwrap();
+    let (same, again) = merge_with(&paths[..1], |_| Ok(text.as_slice())).unwrap();
+    // As text: a figure that is no number is not equal to itself.
+    assert_eq!(format!("{same:?} {again:?}"), format!("{campaign:?} {runs:?}"));
+    let summary = Summary::new(&campaign, &runs);
+    assert_eq!(summary.to_json()["runs"].as_array().map(Vec::len), Some(runs.len()));
+    assert!(summary.to_string().starts_with(&campaign.scene));
+});
