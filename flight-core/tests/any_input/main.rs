@@ -83,6 +83,7 @@ fn every_number_of_a_configuration_may_be_anything() {
 /// Every number at the two ends of its range, as the refusal of what is beyond them says; and then all of the controller's
 /// gains and limits at their largest at once.
 #[test]
+#[cfg_attr(miri, ignore = "200 flights")]
 fn every_number_of_a_configuration_may_be_at_its_limit() {
     let defaults = Config { params: Params::default(), calibration: Some(flight_core::Calibration::NONE) };
     let count = script::numbers(&mut defaults.clone()).len();
