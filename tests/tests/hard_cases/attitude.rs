@@ -63,6 +63,13 @@ fn pitch_through_the_vertical_slowly_fast_and_parked_there() {
         ];
         let body = fly(name, &params, &parked);
         is_back(name, &params, body);
+        // A sample there, at the end of the range: what 1/cos θ makes of it must still be an angle.
+        for k in 0..1_000 {
+            let mut body = Body::at(rotation(vec3(0.0, 0.5 * PI, 0.0)), &params);
+            body.turn(vec3(0.0, 0.01 * f64::from(k), 35.0), DT_S);
+            let heading = body.estimator.heading();
+            assert!(heading.abs() <= std::f32::consts::PI + 1e-6, "{name}, {k}: a heading of {heading}");
+        }
     }
 }
 
