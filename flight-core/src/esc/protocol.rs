@@ -196,7 +196,8 @@ mod tests {
         }
         assert!(sweep().is_sorted_by_key(throttle));
         let reached: BTreeSet<u16> = sweep().map(throttle).collect();
-        assert!(reached.into_iter().eq([0].into_iter().chain(48..=2_047)));
+        // Miri's sweep has great gaps.
+        assert!(cfg!(miri) || reached.into_iter().eq([0].into_iter().chain(48..=2_047)));
     }
 
     /// The checksum bit by bit: bit n of it is the parity of the bits n + 4, n + 8 and n + 12 of the frame.
