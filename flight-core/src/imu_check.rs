@@ -113,7 +113,7 @@ mod tests {
         /// alike and not at an end of the range. The verdict is given when the sensor has its turn.
         #[test]
         fn stuck_is_who_reads_the_same_for_a_tenth_of_a_second(
-            rate_hz in prop_oneof![Just(1000.0_f32), 10.0..32_000.0_f32, Just(1100.0)],
+            rate_hz in prop_oneof![Just(1000.0_f32), 10.0..32_000.0_f32, Just(1130.0)],
             gyro_checked in any::<bool>(), accel_checked in prop::bool::weighted(0.7),
             runs in prop::collection::vec((
                 prop::array::uniform6(prop_oneof![6 => Just(None), 1 => (-9_i16..9).prop_map(Some), 1 => Just(Some(i16::MAX)), 1 => Just(Some(i16::MIN))]),
@@ -123,7 +123,7 @@ mod tests {
             let mut ours = ImuCheck::new(StuckCheck { gyro: gyro_checked, accel: accel_checked }, rate_hz);
             // A look is at every other sample. Equal to the one before it: of n + 1 looks alike, n are.
             let limit = ((0.5 * f64::from(rate_hz) * 0.1) as usize).max(50);
-            prop_assume!((f64::from(rate_hz) * 0.05).fract() > 1e-6 || rate_hz == 1000.0);
+
             let mut looks: [Vec<[i16; 3]>; 2] = [std::vec![[0; 3]], std::vec![[0; 3]]];
             let (mut step, mut stuck) = (0_usize, false);
             for (held, times) in runs {

@@ -355,10 +355,10 @@ fn apart(ours: &RobustFilter, twin: &InDouble) -> [(&'static str, f64, f64); 8] 
     let place = (f64::from(ours.north.level) - twin.place.0).abs()
         + (f64::from(ours.north.vertical) - twin.place.1).abs();
     [
-        ("attitude", attitude, 3e-4),
+        ("attitude", attitude, 1e-3),
         ("down", (double(ours.down) - double(ours.q.down())).norm(), 1e-6),
-        ("lean", lean[0] + lean[1], 3e-4),
-        ("bias", (double(ours.bias) - twin.bias).norm(), 3e-5),
+        ("lean", lean[0] + lean[1], 1e-3),
+        ("bias", (double(ours.bias) - twin.bias).norm(), 1e-4),
         ("variance", relative.x.max(relative.y).max(relative.z), 3e-3),
         ("offset", (double(ours.north.offset) - twin.offset).norm(), 3e-3),
         ("place", place, 2e-2),

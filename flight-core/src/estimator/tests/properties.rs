@@ -264,7 +264,9 @@ proptest! {
             let q = e.attitude();
             prop_assert!((e.down() - q.down()).norm() < 2e-5, "{:?}", e);
             let angles = q.to_euler();
-            if angles.pitch.abs() < 1.5 {
+            // The paper's pitch may go over the vertical, and its yaw stays what it is.
+            let over = matches!(&e, Estimator::Euler(filter) if filter.angles()[1].abs() > 1.5);
+            if angles.pitch.abs() < 1.5 && !over {
                 prop_assert!(wrap_pi(e.heading() - angles.yaw).abs() < 2e-5, "{:?}", e);
             }
             prop_assert!(e.heading().abs() <= PI + 1e-6);
