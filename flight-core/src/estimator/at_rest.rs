@@ -55,8 +55,7 @@ impl GyroZero {
         let share = dt_s / self.still_s;
         self.mean_gyro += gyro_off * share;
         self.mean_accel += accel_off * share;
-        let plausible = self.mean_gyro.dot(self.mean_gyro) < MAX_BIAS * MAX_BIAS;
-        if self.still_s >= MIN_STILL_S && plausible {
+        if self.still() {
             self.bias = self.mean_gyro;
             self.zeroed = true;
         }
@@ -67,9 +66,11 @@ impl GyroZero {
         self.still_s = 0.0;
     }
 
-    /// Whether the vehicle has been still for as long as a zero takes, up to the last sample.
+    /// Whether the vehicle has been still for as long as a zero takes, up to the last sample. Who turns steadily is
+    /// not, zeroed before or not: a gyroscope that reads the same 2,000 °/s for ever is a broken one.
     pub fn still(&self) -> bool {
-        self.still_s >= MIN_STILL_S
+        let plausible = self.mean_gyro.dot(self.mean_gyro) < MAX_BIAS * MAX_BIAS;
+        self.still_s >= MIN_STILL_S && plausible
     }
 
     /// Whether a bias has been learnt.
