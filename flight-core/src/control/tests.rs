@@ -250,7 +250,7 @@ fn moment() -> impl Strategy<Value = Moment> {
     let rates = [-35.0..35.0_f32, -35.0..35.0, -35.0..35.0].prop_map(Vec3::from);
     let cut = (any::<bool>(), any::<bool>()).prop_map(|(roll_pitch, yaw)| Saturation { roll_pitch, yaw });
     let dt_s = prop_oneof![4 => 3.0e-5..0.1_f32, 1 => Just(0.0_f32)];
-    (sticks, mode, tilt, -3.14..3.14_f32, rates, cut, dt_s).prop_map(
+    (sticks, mode, tilt, -3.1..3.1_f32, rates, cut, dt_s).prop_map(
         |(sticks, mode, tilt, heading, rates, cut, dt_s)| Moment {
             sticks,
             mode,
