@@ -55,9 +55,15 @@ impl GyroZero {
         let share = dt_s / self.still_s;
         self.mean_gyro += gyro_off * share;
         self.mean_accel += accel_off * share;
-        if self.still() {
+        if self.still_s < MIN_STILL_S {
+            return;
+        }
+        if self.mean_gyro.dot(self.mean_gyro) < MAX_BIAS * MAX_BIAS {
             self.bias = self.mean_gyro;
             self.zeroed = true;
+        } else {
+            // A turntable is no rest, zeroed before or not, and a gyroscope that reads the same 2,000 °/s for ever is broken.
+            self.still_s = 0.0;
         }
     }
 
@@ -66,11 +72,9 @@ impl GyroZero {
         self.still_s = 0.0;
     }
 
-    /// Whether the vehicle has been still for as long as a zero takes, up to the last sample. Who turns steadily is
-    /// not, zeroed before or not: a gyroscope that reads the same 2,000 °/s for ever is a broken one.
+    /// Whether the vehicle has been still for as long as a zero takes, up to the last sample, and not turning steadily.
     pub fn still(&self) -> bool {
-        let plausible = self.mean_gyro.dot(self.mean_gyro) < MAX_BIAS * MAX_BIAS;
-        self.still_s >= MIN_STILL_S && plausible
+        self.still_s >= MIN_STILL_S
     }
 
     /// Whether a bias has been learnt.
