@@ -423,3 +423,29 @@ fn a_long_rest_follows_a_drift() {
         assert!((left - 0.995_f32.powi(n)).abs() < 2e-4, "{left} after {n}");
     }
 }
+
+/// What is measured to be exactly opposite has no shortest way: any level axis serves, for the whole share of the half
+/// turn.
+#[test]
+fn half_a_turn_wrong_is_turned_back_by_its_share() {
+    let weight = Weight::Fixed { alpha: 0.75 };
+    let params = EstimatorParams::complementary(Kinematics::Quaternion, weight);
+    for down in [
+        [1.0, 0.0, 0.0],
+        [0.0, 1.0, 0.0],
+        [0.0, 0.0, 1.0],
+        [0.8, 0.6, 0.0],
+        [0.6, 0.8, 0.0],
+        [0.0, 0.6, -0.8],
+    ] {
+        for down in [Vec3::from(down), -Vec3::from(down)] {
+            let mut e = Estimator::new(&params).unwrap();
+            // 1 m/s², so that what is not quite opposite by rounding is so by less than 1e-6.
+            e.update(Vec3::ZERO, -down, None, 0.0);
+            e.update(Vec3::ZERO, down, None, 0.01);
+            let cos = e.down().dot(down);
+            assert!((cos - (0.25 * PI).cos()).abs() < 1e-5, "{down:?}: {cos}");
+            assert!((e.attitude().norm_squared() - 1.0).abs() < 1e-6);
+        }
+    }
+}
