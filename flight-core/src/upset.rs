@@ -117,6 +117,15 @@ mod tests {
     }
 
     #[test]
+    fn the_limit_itself_is_not_too_far() {
+        let mut watch = UpsetWatch::new(FRAC_PI_4);
+        watch.update(Some(watch.cos_limit), u32::MAX);
+        assert!(!watch.upset());
+        watch.update(Some(watch.cos_limit.next_down()), u32::MAX);
+        assert!(watch.upset());
+    }
+
+    #[test]
     fn who_flies_rates_is_not_watched() {
         let mut watch = UpsetWatch::new(FRAC_PI_4);
         (0..600).for_each(|_| watch.update(Some(-1.0), 1_000));

@@ -160,7 +160,7 @@ mod tests {
         #[test]
         fn sticks_of_any_ticks(
             channels in prop::array::uniform4(prop_oneof![0..=2047_u16, any::<u16>(), prop::sample::select(&[172, 992, 1811, 253, 254, 1729, 1730][..])]),
-            mode_switch in any::<u16>(),
+            mode_switch in prop_oneof![4 => any::<u16>(), 1 => 1_401..=1_402_u16],
         ) {
             let frame = RcFrame { channels, arm_switch: 0, mode_switch, status: LinkStatus::Good };
             let sticks = Sticks::from_frame(&frame);
@@ -219,6 +219,23 @@ mod tests {
         assert_eq!(high.gesture(), Gesture::None);
         let arm = Sticks::from_frame(&frame([LOW_TICKS, CENTRE_TICKS, CENTRE_TICKS, HIGH_TICKS]));
         assert_eq!((arm.gesture(), arm.roll, arm.pitch), (Gesture::Arm, 0.0, 0.0));
+    }
+
+    #[test]
+    fn a_gesture_is_beyond_its_limits_and_not_at_them() {
+        let sticks = |throttle, yaw| Sticks { throttle, yaw, ..Sticks::default() };
+        for (throttle, yaw, gesture) in [
+            (0.05, 1.0, Gesture::None),
+            (0.05_f32.next_down(), 1.0, Gesture::Arm),
+            (0.0, 0.9, Gesture::None),
+            (0.0, 0.9_f32.next_up(), Gesture::Arm),
+            (0.0, -0.9, Gesture::None),
+            (0.0, -(0.9_f32.next_up()), Gesture::Disarm),
+            (f32::NAN, 1.0, Gesture::None),
+            (0.0, f32::NAN, Gesture::None),
+        ] {
+            assert_eq!(sticks(throttle, yaw).gesture(), gesture, "{throttle} {yaw}");
+        }
     }
 
     #[test]

@@ -338,7 +338,7 @@ proptest! {
         bias in about(0.25), runs in prop::collection::vec((
             about(0.02), about(0.15),
             prop_oneof![6 => Just(Vec3::ZERO), 1 => about(0.5)],
-            prop_oneof![6 => Just(LEVEL), 1 => about(3.0).prop_map(|off| off + LEVEL), 1 => Just(LEVEL * 1.2)],
+            prop_oneof![6 => Just(LEVEL), 1 => about(3.0).prop_map(|off| off + LEVEL), 3 => about(0.6).prop_map(|off| off + LEVEL), 1 => Just(LEVEL * 1.2)],
             1.0e-3..0.05_f32, prop::bool::weighted(0.1), 1..40_usize,
         ), 1..8),
     ) {
@@ -406,6 +406,16 @@ proptest! {
             zero.learn(bias, LEVEL, 0.01);
         }
         prop_assert!(zero.zeroed() && zero.still() && (zero.bias() - bias).norm() < 1e-5, "{:?}", zero);
+    }
+}
+
+/// An eighth of a second is exact, and so are eight of them.
+#[test]
+fn a_second_of_rest_is_enough() {
+    let mut zero = GyroZero::default();
+    for n in 1..=8 {
+        zero.learn(vec3(0.1, 0.0, 0.0), LEVEL, 0.125);
+        assert_eq!((zero.still(), zero.zeroed()), (n == 8, n == 8), "{n}");
     }
 }
 
