@@ -459,3 +459,16 @@ fn half_a_turn_wrong_is_turned_back_by_its_share() {
         }
     }
 }
+
+/// 0.98 m/s² of a force to the side: a little less says nothing, and a little more does.
+#[test]
+fn free_fall_ends_at_a_tenth_of_g() {
+    for (force, says) in [(0.975, false), (0.985, true)] {
+        for mut e in all() {
+            e.update(Vec3::ZERO, LEVEL, None, 0.0);
+            e.update(Vec3::ZERO, vec3(0.0, force, 0.0), None, 0.01);
+            let tilt = (e.down() - Vec3::Z).norm();
+            assert_eq!(tilt > 1e-6, says, "{force}: {tilt} {e:?}");
+        }
+    }
+}
