@@ -199,7 +199,7 @@ impl InDouble {
             off[sensor] = from.norm();
             self.slow[sensor] += from * slow;
         }
-        let steady = self.below(off[0], REST_RATE.into()) & self.below(off[1], REST_FORCE.into());
+        let steady = self.below(off[0], 2.0 * RAD) & self.below(off[1], 0.2);
         let slow_turn = self.slow[0].norm();
         let still = steady & self.below(slow_turn, 0.35);
         self.still = if still { (self.still + dt).min(1.5) } else { 0.0 };
@@ -451,4 +451,29 @@ fn what_hangs_upside_down_leans_by_a_whole_g_to_one_side() {
     assert_eq!(level(vec3(0.3, -0.4, -0.9)), [0.3, -0.4]);
     assert_eq!(level(vec3(0.05, 0.05, -0.05)), [0.0, 0.0]);
     assert_eq!(level(vec3(0.0, 0.11, 0.0)), [0.0, 0.11]);
+}
+
+/// 200 rad/s, 1,000 m/s² and 10,000 µT: what is more changes nothing, and what is less is taken in.
+#[test]
+fn readings_beyond_their_limits_are_none() {
+    let mut filter = RobustFilter::new(RobustParams { tilt_tau_s: 5.0, heading_tau_s: 9.0 }, 0.0);
+    let (level, north) = (vec3(0.0, 0.0, -9.8), vec3(20.0, 0.0, 40.0));
+    for _ in 0..3 {
+        filter.update(Vec3::ZERO, level, Some(north), 0.001);
+    }
+    let taken = |gyro: Vec3<f32>, accel: Vec3<f32>, mag: Vec3<f32>| {
+        let mut usual = filter;
+        usual.update(Vec3::ZERO, level, None, 0.001);
+        let mut other = filter;
+        other.update(gyro, accel, Some(mag), 0.001);
+        // A sample that is none is not even a time that has passed.
+        (other.attitude() != usual.attitude(), std::format!("{other:?}") != std::format!("{filter:?}"))
+    };
+    for (size, is_one) in [(0.99, true), (1.01, false)] {
+        let none = vec3(0.0, 0.0, 0.0);
+        assert_eq!(taken(vec3(0.0, 0.0, 200.0 * size), level, none), (is_one, is_one));
+        assert_eq!(taken(none, vec3(0.0, 1.0e3 * size, 0.0), none), (is_one, is_one));
+        // Without its field it is still a sample.
+        assert_eq!(taken(none, level, vec3(0.0, 1.0e4 * size, 0.0)), (is_one, true));
+    }
 }
