@@ -460,6 +460,17 @@ fn half_a_turn_wrong_is_turned_back_by_its_share() {
     }
 }
 
+/// What falls freely shows no tilt to start from.
+#[test]
+fn free_fall_starts_nothing() {
+    for mut e in all() {
+        for force in [Vec3::ZERO, vec3(0.0, 0.5, 0.0), vec3(1e-30, 0.0, 0.0)] {
+            e.update(Vec3::ZERO, force, None, 0.01);
+            assert!(!e.started() && e.attitude() == Quaternion::IDENTITY, "{force:?}: {e:?}");
+        }
+    }
+}
+
 /// 0.98 m/s² of a force to the side: a little less says nothing, and a little more does.
 #[test]
 fn free_fall_ends_at_a_tenth_of_g() {
