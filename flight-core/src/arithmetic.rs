@@ -191,7 +191,9 @@ mod tests {
         }
 
         #[test]
-        fn the_origin_has_no_direction(y in prop::sample::select(&[0.0_f32, -0.0][..]), x in prop::sample::select(&[0.0_f32, -0.0][..])) {
+        fn the_origin_has_no_direction(
+            y in prop::sample::select(&[0.0_f32, -0.0][..]), x in prop::sample::select(&[0.0_f32, -0.0][..]),
+        ) {
             prop_assert!(atan2(y, x) == 0.0 && direction(y, x).is_nan() && elevation(y, x).is_nan());
         }
 

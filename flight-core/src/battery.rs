@@ -64,7 +64,6 @@ mod tests {
     use super::*;
     use proptest::num::f32::ANY;
     use proptest::prelude::*;
-    use std::vec::Vec;
 
     fn volts() -> impl Strategy<Value = f32> {
         prop_oneof![6 => 7.0..13.0_f32, 2 => prop::sample::select(&[9.0, 10.5, f32::NAN][..]), 1 => ANY]
@@ -87,8 +86,7 @@ mod tests {
             let mut last: Option<(u64, f32)> = None;
             // When each unbroken time began in which the voltage was known and critical; `latched`: it was long enough.
             let (mut since_us, mut latched) = (None, false);
-            let steps: Vec<_> = past;
-            for (measured, flying, dt_us) in steps {
+            for (measured, flying, dt_us) in past {
                 let before_us = now_us;
                 now_us += u64::from(dt_us);
                 if let Some(voltage_v) = measured {

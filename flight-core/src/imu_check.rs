@@ -116,7 +116,9 @@ mod tests {
             rate_hz in prop_oneof![Just(1000.0_f32), 10.0..32_000.0_f32, Just(1130.0)],
             gyro_checked in any::<bool>(), accel_checked in prop::bool::weighted(0.7),
             runs in prop::collection::vec((
-                prop::array::uniform6(prop_oneof![6 => Just(None), 1 => (-9_i16..9).prop_map(Some), 1 => Just(Some(i16::MAX)), 1 => Just(Some(i16::MIN))]),
+                prop::array::uniform6(prop_oneof![
+                    6 => Just(None), 1 => (-9_i16..9).prop_map(Some), 1 => Just(Some(i16::MAX)), 1 => Just(Some(i16::MIN)),
+                ]),
                 1..400_usize,
             ), 1..6),
         ) {

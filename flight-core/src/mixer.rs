@@ -367,7 +367,9 @@ mod tests {
 
         /// No demand at all makes a speed that a rotor can't have.
         #[test]
-        fn speeds_of_any_demand(demand in prop::array::uniform4(prop_oneof![ANY, -20.0..20.0_f32]), squares in prop::array::uniform4(ANY)) {
+        fn speeds_of_any_demand(
+            demand in prop::array::uniform4(prop_oneof![ANY, -20.0..20.0_f32]), squares in prop::array::uniform4(ANY),
+        ) {
             let [thrust_n, x, y, z] = demand;
             for speed in Mixer::speeds(mixer().mix(&wrench(thrust_n, x, y, z)).0) {
                 prop_assert!((0.0..=319.001).contains(&speed), "{}", speed);
@@ -380,7 +382,9 @@ mod tests {
 
         #[test]
         fn any_numbers_are_an_airframe_or_refused(
-            numbers in prop::array::uniform5(prop_oneof![3 => Just(None), 1 => ANY.prop_map(Some), 1 => (-1.0..20.0_f32).prop_map(Some)]),
+            numbers in prop::array::uniform5(prop_oneof![
+                3 => Just(None), 1 => ANY.prop_map(Some), 1 => (-1.0..20.0_f32).prop_map(Some),
+            ]),
         ) {
             let [b, d, arm, idle, most] = numbers;
             let os4 = Airframe::OS4;

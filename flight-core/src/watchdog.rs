@@ -111,7 +111,9 @@ mod tests {
         /// silent, or has missed a deadline since the last look.
         #[test]
         fn a_look_at_any_time(
-            times in prop::collection::vec((0..8_usize, any::<bool>(), any::<bool>(), prop_oneof![START_US..START_US + 1_000_000, any::<u64>()]), 1..60),
+            times in prop::collection::vec((
+                0..8_usize, any::<bool>(), any::<bool>(), prop_oneof![START_US..START_US + 1_000_000, any::<u64>()],
+            ), 1..60),
         ) {
             let mut roll = Roll::new(ALLOWED_US, START_US, GRACE_US);
             let mut last: [Option<u64>; TASKS] = [None; TASKS];

@@ -240,7 +240,8 @@ fn params() -> impl Strategy<Value = ControlParams> {
 }
 
 fn moment() -> impl Strategy<Value = Moment> {
-    let stick = || prop_oneof![4 => -1.0..=1.0_f32, 1 => Just(0.0_f32), 1 => prop::sample::select(&[YAW_DEADBAND, -YAW_DEADBAND, 0.9, -1.0, 1.0][..])];
+    let marks = || prop::sample::select(&[0.0, YAW_DEADBAND, -YAW_DEADBAND, 0.9, -1.0, 1.0][..]);
+    let stick = || prop_oneof![2 => -1.0..=1.0_f32, 1 => marks()];
     let throttle =
         prop_oneof![4 => 0.0..=1.0_f32, 1 => prop::sample::select(&[0.0, 0.04, TAKE_OFF_THROTTLE][..])];
     let sticks = (throttle, stick(), stick(), stick());

@@ -104,7 +104,9 @@ mod tests {
         }
 
         #[test]
-        fn any_pulses_are_a_map_or_refused(stop_us in prop_oneof![0.0..4000.0_f32, ANY], full_us in prop_oneof![0.0..4000.0_f32, ANY]) {
+        fn any_pulses_are_a_map_or_refused(
+            stop_us in prop_oneof![0.0..4000.0_f32, ANY], full_us in prop_oneof![0.0..4000.0_f32, ANY],
+        ) {
             let good = (100.0..=3000.0).contains(&stop_us) && full_us >= stop_us + 1.0 && full_us <= 3000.0;
             prop_assert_eq!(Esc::new(&EscParams { stop_us, full_us }, 32.0, 320.0).is_ok(), good);
         }

@@ -62,6 +62,7 @@ impl Link {
 mod tests {
     use super::*;
     use crate::rc::CENTRE_TICKS;
+    use crate::sample::LinkStatus::Good;
     use proptest::prelude::*;
 
     const FRAME: RcFrame = RcFrame {
@@ -78,7 +79,7 @@ mod tests {
         fn a_link_is_half_a_second_of_frames_without_a_gap(
             past in prop::collection::vec((
                 prop::option::weighted(0.6, prop::sample::select(
-                    &[LinkStatus::Good, LinkStatus::Good, LinkStatus::Good, LinkStatus::Good, LinkStatus::FrameLost, LinkStatus::Failsafe][..],
+                    &[Good, Good, Good, Good, LinkStatus::FrameLost, LinkStatus::Failsafe][..],
                 )),
                 prop_oneof![6 => 0..100_000_u32, 2 => Just(250_000), 1 => Just(500_000), 1 => Just(500_001), 1 => Just(u32::MAX)],
             ), 1..80),

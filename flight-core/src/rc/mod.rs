@@ -159,7 +159,9 @@ mod tests {
         /// full deflection beyond the ends.
         #[test]
         fn sticks_of_any_ticks(
-            channels in prop::array::uniform4(prop_oneof![0..=2047_u16, any::<u16>(), prop::sample::select(&[172, 992, 1811, 253, 254, 1729, 1730][..])]),
+            channels in prop::array::uniform4(prop_oneof![
+                0..=2047_u16, any::<u16>(), prop::sample::select(&[172, 992, 1811, 253, 254, 1729, 1730][..]),
+            ]),
             mode_switch in prop_oneof![4 => any::<u16>(), 1 => 1_401..=1_402_u16],
         ) {
             let frame = RcFrame { channels, arm_switch: 0, mode_switch, status: LinkStatus::Good };
@@ -189,7 +191,10 @@ mod tests {
 
         /// Any map gives a frame; one of channels that a receiver does not have is refused.
         #[test]
-        fn maps_of_any_channels(sticks in prop::array::uniform4(0..20_u8), arm in 0..20_u8, mode in any::<u8>(), channels in prop::array::uniform16(any::<u16>())) {
+        fn maps_of_any_channels(
+            sticks in prop::array::uniform4(0..20_u8), arm in 0..20_u8, mode in any::<u8>(),
+            channels in prop::array::uniform16(any::<u16>()),
+        ) {
             let map = ChannelMap { sticks, arm, mode };
             let all = sticks.into_iter().chain([arm, mode]);
             let good = all.clone().all(|channel| channel < 16);

@@ -96,7 +96,7 @@ mod tests {
             past in prop::collection::vec((
                 prop::sample::select(&[Gesture::Arm, Gesture::Disarm, Gesture::None][..]),
                 prop_oneof![
-                    4 => prop::sample::select(&[LOW_TICKS, CENTRE_TICKS, HIGH_TICKS, SWITCH_ON_TICKS, SWITCH_ON_TICKS + 1, SWITCH_OFF_TICKS, SWITCH_OFF_TICKS - 1][..]),
+                    4 => prop::sample::select(&[LOW_TICKS, CENTRE_TICKS, HIGH_TICKS, 1_401, 1_402, 581, 582][..]),
                     1 => any::<u16>(),
                 ],
                 prop::bool::weighted(0.05),

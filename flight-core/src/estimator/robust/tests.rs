@@ -321,7 +321,8 @@ fn phase() -> impl Strategy<Value = Phase> {
         prop_oneof![3 => about(0.03), 2 => about(1.0), 1 => about(6.0), 1 => Just(vec3(250.0, 0.0, 0.0))];
     let accel = prop_oneof![3 => level, 4 => near_level, 1 => about(15.0), 1 => about(0.3), 1 => Just(vec3(0.0, 0.0, 2.0e3))];
     let field = about(8.0).prop_map(|off| off + vec3(20.0, 10.0, 30.0));
-    let mag = prop_oneof![1 => Just(None), 4 => field.prop_map(Some), 1 => about(50.0).prop_map(Some), 1 => Just(Some(vec3(0.0, 2.0e4, 0.0)))];
+    let field = prop_oneof![4 => field, 1 => about(50.0), 1 => Just(vec3(0.0, 2.0e4, 0.0))];
+    let mag = prop::option::weighted(0.85, field);
     let noise = (
         prop_oneof![Just(0.0_f32), Just(0.002), Just(0.3)],
         prop_oneof![Just(0.0_f32), Just(0.05), Just(2.0)],
