@@ -478,3 +478,18 @@ fn readings_beyond_their_limits_are_none() {
         assert_eq!(taken(none, level, vec3(0.0, 1.0e4 * size, 0.0)), (is_one, true));
     }
 }
+
+/// Nothing is seen of a bias about the vertical without a field. What is not known of it grows with its walk, and after
+/// an hour by √3600 · 0.02 °/s = 1.2 °/s, but for the bound that is what was not known at first.
+#[test]
+fn what_is_not_seen_is_known_no_less_than_at_first() {
+    let mut filter = RobustFilter::new(RobustParams { tilt_tau_s: 5.0, heading_tau_s: 9.0 }, 0.0);
+    filter.looks_for_rest = false;
+    let first = filter.variance.z;
+    for step in 0..3600 {
+        filter.update(Vec3::ZERO, vec3(0.0, 0.0, -9.8), None, 1.0);
+        // It starts for τ, and learns nothing.
+        assert!(step < 6 || filter.variance.z <= first, "{filter:?}");
+    }
+    assert!(filter.variance.z > 0.99 * first && filter.variance.x < 0.01 * first, "{filter:?}");
+}

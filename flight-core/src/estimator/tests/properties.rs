@@ -478,6 +478,19 @@ fn half_a_turn_wrong_is_turned_back_by_its_share() {
     }
 }
 
+/// At a magnetic pole the first field sets no heading, and neither does the hundredth.
+#[test]
+fn a_vertical_field_sets_no_heading() {
+    for (north, sets) in [(-0.99, false), (-1.01, true)] {
+        for mut e in all() {
+            for _ in 0..100 {
+                e.update(Vec3::ZERO, LEVEL, Some(vec3(north, 0.0, 48.0)), 0.01);
+                assert_eq!(e.heading().abs() > 3.0, sets, "{north} µT: {e:?}");
+            }
+        }
+    }
+}
+
 /// What falls freely shows no tilt to start from.
 #[test]
 fn free_fall_starts_nothing() {
