@@ -6,10 +6,13 @@
 //!
 //! | kernel | domain | largest error against f64 (tested) |
 //! |---|---|---|
-//! | [`sin_cos`] | ±π (usable to ±8,192) | 2 ulp |
+//! | [`sin_cos`] | ±π (to ±8,192: 1e-6) | 2 ulp |
 //! | [`atan2`], [`direction`], [`elevation`] | all finite | 4e-7 rad |
 //! | [`sqrt`] | all | correctly rounded |
 //! | [`wrap_pi`] | ±1,000 rad | 1 ulp of the argument |
+//!
+//! A NaN comes out as one. Beyond its domain a kernel returns something, and nothing is promised of it but what its
+//! own text says: who calls it keeps within.
 
 use core::f32::consts::{FRAC_PI_2, PI, TAU};
 
@@ -142,6 +145,73 @@ pub fn wrap_pi(x: f32) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use proptest::num::f32::ANY;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn sqrt_is_that_of_the_standard_library(x in ANY) {
+            let exact = x.sqrt();
+            prop_assert!(sqrt(x).to_bits() == exact.to_bits() || (sqrt(x).is_nan() && exact.is_nan()));
+        }
+
+        #[test]
+        fn max_and_min_are_those_of_the_standard_library_but_for_nan(a in ANY, b in ANY) {
+            if a.is_nan() || b.is_nan() {
+                // Whichever of the two is NaN: what comes out is the second.
+                prop_assert_eq!((max(a, b).to_bits(), min(a, b).to_bits()), (b.to_bits(), b.to_bits()));
+            } else {
+                prop_assert_eq!((max(a, b), min(a, b)), (a.max(b), a.min(b)));
+            }
+        }
+
+        #[test]
+        fn sin_cos_to_the_end_of_its_domain_and_beyond(x in -8192.0_f32..=8192.0, any in ANY) {
+            let (s, c) = sin_cos(x);
+            prop_assert!((f64::from(s) - f64::from(x).sin()).abs() < 1e-6, "sin {}: {}", x, s);
+            prop_assert!((f64::from(c) - f64::from(x).cos()).abs() < 1e-6, "cos {}: {}", x, c);
+            let (s, c) = sin_cos(any);
+            prop_assert!(any.is_finite() || (s.is_nan() && c.is_nan()), "{}: {} {}", any, s, c);
+        }
+
+        /// Of any two numbers, in f64 by the standard library. A negative zero is a zero here.
+        #[test]
+        fn atan2_of_any_two_numbers(y in ANY, x in ANY) {
+            let ours = [atan2(y, x), direction(y, x), elevation(y, x.abs())].map(f64::from);
+            let (exact_y, exact_x) = (f64::from(y) + 0.0, f64::from(x) + 0.0);
+            if y.is_finite() && x.is_finite() {
+                prop_assert!((ours[0] - exact_y.atan2(exact_x)).abs() <= 4e-7, "({}, {}): {:?}", y, x, ours);
+                if (y, x) != (0.0, 0.0) {
+                    prop_assert!((ours[1] - exact_y.atan2(exact_x)).abs() <= 4e-7, "({}, {}): {:?}", y, x, ours);
+                    prop_assert!((ours[2] - exact_y.atan2(exact_x.abs())).abs() <= 4e-7, "({}, {}): {:?}", y, x, ours);
+                }
+            } else if y.is_nan() || x.is_nan() || (y.is_infinite() && x.is_infinite()) {
+                prop_assert!(ours.iter().all(|angle| angle.is_nan()), "({}, {}): {:?}", y, x, ours);
+            }
+        }
+
+        #[test]
+        fn the_origin_has_no_direction(
+            y in prop::sample::select(&[0.0_f32, -0.0][..]), x in prop::sample::select(&[0.0_f32, -0.0][..]),
+        ) {
+            prop_assert!(atan2(y, x) == 0.0 && direction(y, x).is_nan() && elevation(y, x).is_nan());
+        }
+
+        /// By the remainder in f64.
+        #[test]
+        fn wrap_pi_takes_off_whole_turns_anywhere_in_its_domain(x in -1000.0_f32..=1000.0, any in ANY) {
+            let turns = (f64::from(x) / core::f64::consts::TAU).round();
+            let exact = f64::from(x) - turns * core::f64::consts::TAU;
+            let ulp = f64::from(x.abs().next_up() - x.abs());
+            let wrapped = f64::from(wrap_pi(x));
+            // Half a turn has two names.
+            let off = (wrapped - exact).abs();
+            let off = off.min((off - core::f64::consts::TAU).abs());
+            prop_assert!(off <= ulp, "{}: {} off", x, off);
+            prop_assert!(wrapped.abs() <= core::f64::consts::PI + ulp);
+            prop_assert!(any.is_finite() || wrap_pi(any).is_nan());
+        }
+    }
 
     /// Distance of `y` from `exact` in units of the last place of the f32 nearest to `exact`.
     fn ulps(y: f32, exact: f64) -> f64 {

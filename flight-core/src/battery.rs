@@ -62,6 +62,54 @@ impl BatteryWatch {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use proptest::num::f32::ANY;
+    use proptest::prelude::*;
+
+    fn volts() -> impl Strategy<Value = f32> {
+        prop_oneof![6 => 7.0..13.0_f32, 2 => prop::sample::select(&[9.0, 10.5, f32::NAN][..]), 1 => ANY]
+    }
+
+    proptest! {
+        /// From the whole past, told with absolute times: which measurement was the last, and since when it has been
+        /// critical.
+        #[test]
+        fn what_is_said_follows_from_the_measurements_and_their_times(
+            past in prop::collection::vec((
+                prop::option::weighted(0.4, volts()),
+                prop::bool::weighted(0.9),
+                prop_oneof![3 => 0..400_000_u32, 2 => Just(500_000), 2 => Just(1_000_000), 1 => Just(u32::MAX)],
+            ), 1..60),
+        ) {
+            let mut watch = BatteryWatch::new(10.5, 9.0);
+            prop_assert!(watch.low() && !watch.critical());
+            let mut now_us = 0_u64;
+            let mut last: Option<(u64, f32)> = None;
+            // When each unbroken time began in which the voltage was known and critical; `latched`: it was long enough.
+            let (mut since_us, mut latched) = (None, false);
+            for (measured, flying, dt_us) in past {
+                let before_us = now_us;
+                now_us += u64::from(dt_us);
+                if let Some(voltage_v) = measured {
+                    last = Some((now_us, voltage_v));
+                }
+                watch.update(measured.map(|voltage_v| Battery { voltage_v }), flying, dt_us);
+
+                let known = last.filter(|(at_us, _)| now_us - at_us <= 2_000_000);
+                prop_assert_eq!(watch.low(), known.is_none_or(|(_, v)| v.is_nan() || v < 10.5));
+                // What is measured now is taken to have been so since the last step.
+                let below = known.is_some_and(|(_, v)| v < 9.0);
+                if !flying {
+                    (since_us, latched) = (None, false);
+                } else if below {
+                    let began_us = *since_us.get_or_insert(before_us);
+                    latched |= now_us - began_us >= 3_000_000;
+                } else {
+                    since_us = None;
+                }
+                prop_assert_eq!(watch.critical(), latched);
+            }
+        }
+    }
 
     fn run(watch: &mut BatteryWatch, voltage_v: Option<f32>, flying: bool, ms: u32) -> (bool, bool) {
         for _ in 0..ms {

@@ -97,3 +97,76 @@ impl Bench {
         Some(BenchMotor { rotor, limit_us: pulse_us(sqrt(self.params.max_thrust)) })
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::num::f32::ANY;
+    use proptest::prelude::*;
+
+    #[test]
+    fn limits_outside_their_range_are_refused_by_name() {
+        let with = |max_thrust, max_s| {
+            Bench::new(&BenchParams { max_thrust, max_s }).map(|_| ()).map_err(|error| error.field)
+        };
+        for (max_thrust, max_s) in [(0.0, 0.1), (0.5, 60.0), (0.1, 10.0)] {
+            assert_eq!(with(max_thrust, max_s), Ok(()));
+        }
+        for odd in [-0.001, 0.501, f32::NAN, f32::INFINITY] {
+            assert_eq!(with(odd, 10.0), Err("bench.max_thrust"));
+        }
+        for odd in [0.099, 60.1, f32::NAN, f32::INFINITY] {
+            assert_eq!(with(0.1, odd), Err("bench.max_s"));
+        }
+    }
+
+    fn command() -> impl Strategy<Value = BenchCommand> {
+        let thrust = prop_oneof![4 => 0.0..=1.0_f32, 2 => prop::sample::select(&[0.0, 1.0, -0.1, 1.01, f32::NAN][..]), 1 => ANY];
+        (0..=5_u8, thrust).prop_map(|(rotor, thrust)| BenchCommand { rotor, thrust })
+    }
+
+    proptest! {
+        /// From the whole past, told with absolute times: which command is in force, and since when there has been one.
+        #[test]
+        fn what_turns_follows_from_the_commands_and_their_times(
+            max_thrust in 0.0..=0.5_f32,
+            past in prop::collection::vec((
+                prop::option::of(command()),
+                prop_oneof![3 => 0..100_000_u32, 2 => Just(50_000), 2 => Just(250_000), 1 => Just(250_001), 1 => Just(u32::MAX)],
+            ), 1..60),
+        ) {
+            let mut bench = Bench::new(&BenchParams { max_thrust, max_s: 0.6 }).unwrap();
+            let mut now_us = 0_u64;
+            let mut force: Option<(u64, BenchCommand)> = None;
+            let mut since_us = 0;
+            for (command, dt_us) in past {
+                now_us += u64::from(dt_us);
+                bench.update(command.as_ref(), dt_us);
+                let valid = command.filter(|c| (1..=4).contains(&c.rotor) && c.thrust >= 0.0 && c.thrust <= 1.0);
+                if let Some(command) = valid {
+                    if force.is_none() {
+                        since_us = now_us;
+                    }
+                    force = Some((now_us, command));
+                } else if force.is_some_and(|(at_us, _)| now_us - at_us > 250_000) {
+                    force = None;
+                }
+                prop_assert_eq!(bench.commanded(), force.is_some());
+                prop_assert_eq!(bench.expired(), force.is_some() && now_us - since_us > 600_000);
+
+                let turning = bench.speed();
+                prop_assert_eq!(turning.map(|(rotor, _)| rotor + 1), force.map(|(_, c)| usize::from(c.rotor)));
+                let limit = bench.motor(|share| 1_000.0 + 1_000.0 * share);
+                prop_assert_eq!(limit.is_some(), force.is_some());
+                if let (Some((rotor, share)), Some((_, command)), Some(motor)) = (turning, force, limit) {
+                    // Thrust goes with the square of the speed.
+                    let thrust = f64::from(command.thrust).min(f64::from(max_thrust));
+                    prop_assert!((f64::from(share).powi(2) - thrust).abs() < 1e-6);
+                    let most = (f64::from(motor.limit_us) - 1_000.0) / 1_000.0;
+                    prop_assert!(motor.rotor == rotor && (most.powi(2) - f64::from(max_thrust)).abs() < 1e-3);
+                    prop_assert!(f64::from(share) <= most + 1e-3);
+                }
+            }
+        }
+    }
+}

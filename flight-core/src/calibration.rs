@@ -155,6 +155,97 @@ impl SensorFields {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::geometry::Quaternion;
+    use proptest::num::f32::ANY;
+    use proptest::prelude::*;
+
+    const ALL: [SensorFields; 3] = [SensorFields::GYRO, SensorFields::ACCEL, SensorFields::MAG];
+
+    fn rotation() -> impl Strategy<Value = Mat3<f32>> {
+        [-1.0..1.0_f32, -1.0..1.0_f32, -1.0..1.0_f32, -1.0..1.0_f32]
+            .prop_map(|[w, x, y, z]| Quaternion::new(w, x, y, z))
+            .prop_filter("a direction", |q| q.norm_squared() > 0.01)
+            .prop_map(|q| q.normalized().to_matrix())
+    }
+
+    fn calibration() -> impl Strategy<Value = SensorCalibration> {
+        let off = || prop::array::uniform9(-0.05..0.05_f32);
+        (prop::array::uniform3(-100.0..100.0_f32), off()).prop_map(|(bias, off)| {
+            let mut matrix = Mat3::IDENTITY;
+            for (row, off) in matrix.rows.iter_mut().zip(off.chunks(3)) {
+                *row += vec3(off[0], off[1], off[2]);
+            }
+            SensorCalibration { bias: bias.into(), matrix }
+        })
+    }
+
+    proptest! {
+        /// Any mounting and any calibration near the unit matrix: the three steps one after the other, in f64.
+        #[test]
+        fn a_reading_is_scaled_turned_shifted_and_straightened(
+            mounting in rotation(), per_count in 1.0e-5..0.3_f32, calibration in calibration(),
+            counts in prop::array::uniform3(any::<i16>()),
+        ) {
+            let model = SensorModel::new(SensorFields::GYRO, Sensitivity { per_count, mounting }, calibration).unwrap();
+            let times = |m: &Mat3<f32>, v: [f64; 3]| {
+                let row = |row: Vec3<f32>| <[f32; 3]>::from(row).into_iter().zip(v).map(|(a, b)| f64::from(a) * b).sum::<f64>();
+                m.rows.map(row)
+            };
+            let mut body = times(&mounting, counts.map(f64::from));
+            for (axis, bias) in body.iter_mut().zip(<[f32; 3]>::from(calibration.bias)) {
+                *axis = *axis * f64::from(per_count) - f64::from(bias);
+            }
+            let expected = times(&calibration.matrix, body);
+            // Rounding goes with the largest of what is added up.
+            let scale = f64::from(per_count) * 57_000.0 + 100.0;
+            for (ours, exact) in <[f32; 3]>::from(model.apply(counts)).into_iter().zip(expected) {
+                prop_assert!((f64::from(ours) - exact).abs() < 1e-6 * scale, "{} {}", ours, exact);
+            }
+        }
+
+        /// What a file or a link may bring: it is refused by a range that it is outside of, or its readings are finite
+        /// and no longer than the sensor's largest, doubled, and the bias.
+        #[test]
+        fn any_numbers_are_refused_or_give_bounded_readings(
+            which in 0..3_usize,
+            per_count in prop_oneof![2 => 1.0e-4..0.3_f32, 1 => ANY],
+            mut mounting in rotation(),
+            mut calibration in calibration(),
+            odd in prop::collection::vec((0..21_usize, prop_oneof![ANY, -3.0..3.0_f32]), 0..3),
+            counts in prop::array::uniform3(any::<i16>()),
+        ) {
+            for (place, number) in odd {
+                let place = match place {
+                    0..9 => (&mut mounting.rows[place / 3], place % 3),
+                    9..18 => (&mut calibration.matrix.rows[place / 3 - 3], place % 3),
+                    _ => (&mut calibration.bias, place % 3),
+                };
+                *[&mut place.0.x, &mut place.0.y, &mut place.0.z][place.1] = number;
+            }
+            match SensorModel::new(ALL[which], Sensitivity { per_count, mounting }, calibration) {
+                Err(error) => prop_assert!(!(error.value >= error.minimum && error.value <= error.maximum), "{}", error),
+                Ok(model) => {
+                    let read = model.apply(counts);
+                    // A row of at most 2, a rotation, 32,768 counts on each of three axes; three biases of 10⁶.
+                    let most = 2.0 * (per_count * 57_000.0 + 1.75e6);
+                    prop_assert!(read.x.abs() <= most && read.y.abs() <= most && read.z.abs() <= most, "{:?}", read);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn the_largest_sensitivity_and_the_next() {
+        for (fields, most) in ALL.into_iter().zip([0.3_f32, 1.0e3, 1.0e3]) {
+            let with = |per_count| {
+                SensorModel::new(fields, Sensitivity { per_count, ..TURNED }, SensorCalibration::NONE)
+            };
+            assert!(with(most).is_ok());
+            for odd in [most.next_up(), 0.0, -0.01, f32::NAN, f32::INFINITY] {
+                assert_eq!(with(odd).unwrap_err().field, fields.per_count);
+            }
+        }
+    }
 
     const TURNED: Sensitivity = Sensitivity {
         per_count: 0.01,

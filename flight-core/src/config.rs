@@ -150,3 +150,47 @@ pub(crate) fn check(field: &'static str, value: f32, minimum: f32, maximum: f32)
         Err(ConfigError { field, value, minimum, maximum, exclusive: false })
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::num::f32::ANY;
+    use proptest::prelude::*;
+    use std::format;
+
+    proptest! {
+        /// Whatever is compared with whatever range: what is let through is a number in it.
+        #[test]
+        fn what_is_checked_is_within(value in ANY, a in ANY, b in ANY, inside in 0.0..=1.0_f32) {
+            let answer = check("field", value, a, b);
+            prop_assert_eq!(answer.is_ok(), (a..=b).contains(&value));
+            if let Err(error) = answer {
+                prop_assert_eq!((error.field, error.value.to_bits(), error.exclusive), ("field", value.to_bits(), false));
+                prop_assert_eq!((error.minimum.to_bits(), error.maximum.to_bits()), (a.to_bits(), b.to_bits()));
+            }
+            prop_assert_eq!(check("field", inside, 0.0, 1.0), Ok(()));
+            for end in [a, b] {
+                prop_assert_eq!(check("field", end, a, b).is_ok(), a <= b);
+            }
+        }
+    }
+
+    #[test]
+    fn an_error_says_what_would_be_right() {
+        let error = check("imu_rate_hz", 5.0, 10.0, 32_000.0).unwrap_err();
+        assert_eq!(format!("{error}"), "imu_rate_hz = 5: must be from 10 to 32000");
+        let error = ConfigError { exclusive: true, ..error };
+        assert_eq!(format!("{error}"), "imu_rate_hz = 5: must be above 10 and below 32000");
+    }
+
+    #[test]
+    fn the_defaults_are_within_their_ranges() {
+        let config = Config { params: Params::default(), calibration: None };
+        assert!(crate::FlightController::new(&config).is_ok());
+        // The datasheets' full scales: 2,000 °/s at 32,800 counts, 16 g at 32,768, 8 G at 24,000.
+        let Params { gyro, accel, mag, .. } = config.params;
+        assert!((gyro.per_count * 32_800.0 - 2_000.0_f32.to_radians()).abs() < 1e-5);
+        assert!((accel.per_count * 32_768.0 - 16.0 * 9.80665).abs() < 1e-5);
+        assert!((mag.per_count * 24_000.0 - 800.0).abs() < 1e-4);
+    }
+}

@@ -372,3 +372,6 @@ impl FlightController {
         self.gyro_zero.bias() + self.estimator.gyro_bias()
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -256,7 +256,8 @@ impl<T: Scalar> Quaternion<T> {
         Self { w: self.w * k, v: self.v * k }
     }
 
-    /// Unit quaternion along this one. The argument must not be zero.
+    /// Unit quaternion along this one. Zero has none (every part is NaN), nor has what is so small or large that its
+    /// square is 0 or infinite.
     #[inline(always)]
     pub fn normalized(self) -> Self {
         self.scaled(T::ONE / self.norm_squared().sqrt())
@@ -358,3 +359,6 @@ impl Quaternion<f32> {
         Self { w: cos, v: r * (0.5 * sinc) }
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -105,6 +105,59 @@ fn count(still: &mut [u32; 3], last: [i16; 3], now: [i16; 3]) -> u32 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use proptest::prelude::*;
+    use std::vec::Vec;
+
+    proptest! {
+        /// From the whole past: an axis is stuck if its last looks, as many as fit into a tenth of a second, were all
+        /// alike and not at an end of the range. The verdict is given when the sensor has its turn.
+        #[test]
+        fn stuck_is_who_reads_the_same_for_a_tenth_of_a_second(
+            rate_hz in prop_oneof![Just(1000.0_f32), 10.0..32_000.0_f32, Just(1130.0)],
+            gyro_checked in any::<bool>(), accel_checked in prop::bool::weighted(0.7),
+            runs in prop::collection::vec((
+                prop::array::uniform6(prop_oneof![
+                    6 => Just(None), 1 => (-9_i16..9).prop_map(Some), 1 => Just(Some(i16::MAX)), 1 => Just(Some(i16::MIN)),
+                ]),
+                1..400_usize,
+            ), 1..6),
+        ) {
+            let mut ours = ImuCheck::new(StuckCheck { gyro: gyro_checked, accel: accel_checked }, rate_hz);
+            // A look is at every other sample. Equal to the one before it: of n + 1 looks alike, n are.
+            let limit = ((0.5 * f64::from(rate_hz) * 0.1) as usize).max(50);
+
+            let mut looks: [Vec<[i16; 3]>; 2] = [std::vec![[0; 3]], std::vec![[0; 3]]];
+            let (mut step, mut stuck) = (0_usize, false);
+            for (held, times) in runs {
+                for _ in 0..times {
+                    let axis = |index: usize| held[index].unwrap_or(100 + (step as i16 & 0xff) * 7 + index as i16);
+                    let sample = ImuSample { gyro: [axis(0), axis(1), axis(2)], accel: [axis(3), axis(4), axis(5)] };
+                    ours.take(&sample);
+                    let turn = step % 2;
+                    let (checked, now) = if turn == 0 { (gyro_checked, sample.gyro) } else { (accel_checked, sample.accel) };
+                    if checked {
+                        looks[turn].push(now);
+                        let alike = |looks: &[[i16; 3]], axis: usize| {
+                            let last = looks[looks.len() - 1][axis];
+                            let run = looks.iter().rev().take_while(|look| look[axis] == last).count() - 1;
+                            run >= limit && last != i16::MAX && last != i16::MIN
+                        };
+                        stuck = looks.iter().any(|looks| (0..3).any(|axis| alike(looks, axis)));
+                    }
+                    prop_assert_eq!(ours.stuck(), stuck, "at {}", step);
+                    step += 1;
+                }
+            }
+        }
+
+        #[test]
+        fn one_count_that_is_not_the_code_makes_a_sample(axis in 0..6_usize, counts in any::<i16>()) {
+            let mut all = [i16::MIN; 6];
+            all[axis] = counts;
+            let [a, b, c, d, e, f] = all;
+            prop_assert_eq!(ImuCheck::is_valid(&ImuSample { gyro: [a, b, c], accel: [d, e, f] }), counts != i16::MIN);
+        }
+    }
 
     const BOTH: StuckCheck = StuckCheck { gyro: true, accel: true };
 

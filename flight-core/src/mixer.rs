@@ -113,6 +113,9 @@ impl Mixer {
     ///
     /// Rotors 1 and 3 get ±A, 2 and 4 ±B from roll and pitch, and +Y or −Y from yaw, so the spread is
     /// max(2|A|, 2|B|, |A| + |B| + 2|Y|), and each limit is solved for in closed form.
+    ///
+    /// A thrust that is not a number is the least that is possible. A torque that is none, or larger than any number
+    /// of Ω², gives squares that are none, and [`Self::speeds`] makes zeros of them.
     #[inline]
     pub fn mix(&self, demand: &Wrench) -> ([f32; 4], Saturation) {
         let span = self.max_square - self.min_square;
@@ -136,8 +139,9 @@ impl Mixer {
 
         let highest = max(a.abs() + y, b.abs() - y);
         let lowest = min(y - a.abs(), -b.abs() - y);
-        let collective =
-            max(min(demand.thrust_n * self.per_thrust, self.max_square - highest), self.min_square - lowest);
+        // In this order the thrust that is not a number is the least, not the most: `min` returns its second.
+        let wanted = min(self.max_square - highest, demand.thrust_n * self.per_thrust);
+        let collective = max(wanted, self.min_square - lowest);
 
         let (up, down) = (collective + y, collective - y);
         ([up + a, down + b, up - a, down - b], Saturation { roll_pitch, yaw })
@@ -168,6 +172,7 @@ impl Mixer {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use proptest::num::f32::ANY;
     use proptest::prelude::*;
 
     fn mixer() -> Mixer {
@@ -300,6 +305,135 @@ mod tests {
             }
             prop_assert!((paper(squares)[3] - f64::from(low * z)).abs() < 1e-5);
         }
+    }
+
+    fn airframe() -> impl Strategy<Value = Airframe> {
+        let coefficients =
+            (-9.0..0.0_f32, -11.0..0.0_f32).prop_map(|(b, d)| (10.0_f32.powf(b), 10.0_f32.powf(d)));
+        (coefficients, 0.011..10.0_f32, 1.0..1.0e4_f32, 0.0..0.499_f32).prop_map(
+            |((b, d), arm_m, max_rad_s, idle)| Airframe {
+                thrust_coefficient: b.max(1.0e-9),
+                torque_coefficient: d.max(1.0e-11),
+                arm_m,
+                idle_rad_s: idle * max_rad_s,
+                max_rad_s,
+                ..Airframe::OS4
+            },
+        )
+    }
+
+    proptest! {
+        /// Any vehicle: the mixer is the inverse of the equations where the demand fits, and what does not fit comes
+        /// out in range, in shares of Ω²: the demand's four parts are drawn as such.
+        #[test]
+        fn any_airframe_mixes_and_produces(airframe in airframe(), share in prop::array::uniform4(-0.6..0.6_f32)) {
+            let mixer = Mixer::new(&airframe).unwrap();
+            let Airframe { thrust_coefficient: b, torque_coefficient: d, arm_m, .. } = airframe;
+            let [b, d, arm] = [b, d, arm_m].map(f64::from);
+            let (least, most) = (f64::from(airframe.idle_rad_s).powi(2), f64::from(airframe.max_rad_s).powi(2));
+            prop_assert!((f64::from(mixer.max_thrust_n()) / (4.0 * b * most) - 1.0).abs() < 1e-6);
+
+            // Eqs 4-7 for squares of c ± r ± p ± y, each a share of the range.
+            let lever = arm * core::f64::consts::FRAC_1_SQRT_2;
+            let [c, r, p, y] = share.map(f64::from);
+            let (middle, span) = (0.5 * (least + most), most - least);
+            let units = [4.0 * b, 4.0 * b * lever, 4.0 * b * lever, 4.0 * d];
+            let wanted = [middle + 0.5 * c * span, r * span, p * span, y * span];
+            let demand: [f64; 4] = core::array::from_fn(|part| units[part] * wanted[part]);
+            let [thrust_n, x, yy, z] = demand.map(|part| part as f32);
+            let (squares, saturation) = mixer.mix(&wrench(thrust_n, x, yy, z));
+            let rounding = 2e-6 * most;
+            for square in squares.map(f64::from) {
+                prop_assert!(square >= least - rounding && square <= most + rounding, "{}", square);
+            }
+            let exact: [f64; 4] = {
+                let [c, r, p, y] = wanted;
+                [c + r + p + y, c - r + p - y, c - r - p + y, c + r - p - y]
+            };
+            let fits = exact.iter().all(|square| *square > least + rounding && *square < most - rounding);
+            if fits {
+                prop_assert_eq!(saturation, Saturation::default());
+                for (ours, exact) in squares.into_iter().zip(exact) {
+                    prop_assert!((f64::from(ours) - exact).abs() < rounding, "{} {}", ours, exact);
+                }
+            }
+            // And back, whatever it was.
+            let [s1, s2, s3, s4] = squares.map(f64::from);
+            let sums = [s1 + s2 + s3 + s4, s1 - s2 - s3 + s4, s1 + s2 - s3 - s4, s1 - s2 + s3 - s4];
+            for ((ours, sum), unit) in parts(&mixer.produce(squares)).into_iter().zip(sums).zip(units) {
+                prop_assert!((ours - 0.25 * unit * sum).abs() < 1e-6 * unit * most, "{} {}", ours, sum);
+            }
+        }
+
+        /// No demand at all makes a speed that a rotor can't have.
+        #[test]
+        fn speeds_of_any_demand(
+            demand in prop::array::uniform4(prop_oneof![ANY, -20.0..20.0_f32]), squares in prop::array::uniform4(ANY),
+        ) {
+            let [thrust_n, x, y, z] = demand;
+            for speed in Mixer::speeds(mixer().mix(&wrench(thrust_n, x, y, z)).0) {
+                prop_assert!((0.0..=319.001).contains(&speed), "{}", speed);
+            }
+            for (speed, square) in Mixer::speeds(squares).into_iter().zip(squares) {
+                let exact = if square > 0.0 { f64::from(square).sqrt() } else { 0.0 };
+                prop_assert_eq!(speed, exact as f32);
+            }
+        }
+
+        #[test]
+        fn any_numbers_are_an_airframe_or_refused(
+            numbers in prop::array::uniform5(prop_oneof![
+                3 => Just(None), 1 => ANY.prop_map(Some), 1 => (-1.0..20.0_f32).prop_map(Some),
+            ]),
+        ) {
+            let [b, d, arm, idle, most] = numbers;
+            let os4 = Airframe::OS4;
+            let airframe = Airframe {
+                thrust_coefficient: b.unwrap_or(os4.thrust_coefficient),
+                torque_coefficient: d.unwrap_or(os4.torque_coefficient),
+                arm_m: arm.unwrap_or(os4.arm_m),
+                idle_rad_s: idle.unwrap_or(os4.idle_rad_s),
+                max_rad_s: most.unwrap_or(os4.max_rad_s),
+                ..os4
+            };
+            let good = (1.0e-9..=1.0).contains(&airframe.thrust_coefficient)
+                && (1.0e-11..=1.0).contains(&airframe.torque_coefficient)
+                && (0.01..=10.0).contains(&airframe.arm_m)
+                && (1.0..=1.0e4).contains(&airframe.max_rad_s)
+                && (0.0..=0.5 * airframe.max_rad_s).contains(&airframe.idle_rad_s);
+            let mixer = Mixer::new(&airframe);
+            prop_assert_eq!(mixer.is_ok(), good);
+            if let Ok(mixer) = mixer {
+                prop_assert!(mixer.max_thrust_n().is_finite() && mixer.max_thrust_n() > 0.0);
+            }
+        }
+    }
+
+    /// Rotors that idle at 2 rad/s and do 4, with 1 N a rad²/s², and 1 N·m on every axis: 12 rad²/s² of range.
+    #[test]
+    fn what_just_fits_is_not_cut() {
+        let whole = Airframe {
+            thrust_coefficient: 0.25,
+            torque_coefficient: 0.25,
+            arm_m: core::f32::consts::SQRT_2,
+            idle_rad_s: 2.0,
+            max_rad_s: 4.0,
+            ..Airframe::OS4
+        };
+        let mixer = Mixer::new(&whole).unwrap();
+        for (x, z) in [(6.0, 0.0), (0.0, 6.0), (3.0, 3.0)] {
+            assert_eq!(mixer.mix(&wrench(10.0, x, 0.0, z)).1, Saturation::default(), "{x} {z}");
+        }
+        assert!(mixer.mix(&wrench(10.0, 6.001, 0.0, 0.0)).1.roll_pitch);
+        assert!(mixer.mix(&wrench(10.0, 0.0, 0.0, 6.001)).1.yaw);
+        assert_eq!(mixer.max_thrust_n(), 16.0);
+    }
+
+    #[test]
+    fn a_thrust_that_is_not_a_number_is_none() {
+        let none = mixer().mix(&wrench(0.0, 0.1, 0.0, 0.0));
+        assert_eq!(mixer().mix(&wrench(f32::NAN, 0.1, 0.0, 0.0)), none);
+        assert_eq!(mixer().mix(&wrench(f32::NEG_INFINITY, 0.1, 0.0, 0.0)), none);
     }
 
     #[test]

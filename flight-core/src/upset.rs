@@ -50,6 +50,49 @@ impl UpsetWatch {
 mod tests {
     use super::*;
     use core::f32::consts::FRAC_PI_4;
+    use proptest::num::f32::ANY;
+    use proptest::prelude::*;
+
+    proptest! {
+        /// The limit by the angles themselves, in f64: the tilt of both sticks together, and 20°.
+        #[test]
+        fn the_limit_is_twenty_degrees_beyond_both_sticks(max_tilt_rad in 0.01..=1.4_f32) {
+            let both = f64::from(max_tilt_rad).cos().powi(2).acos();
+            let limit = f64::from(UpsetWatch::new(max_tilt_rad).cos_limit);
+            // For small φ the sine √(1 − cos⁴ φ) is about √2 φ, and has ε/(√2 φ) of rounding: 8e-6 at 0.01 rad, and a
+            // third of it here.
+            prop_assert!((limit - (both + 20.0_f64.to_radians()).cos()).abs() < 4e-6);
+        }
+
+        /// A second count, in half microseconds and without a limit. A tilt that is not a number is not one that is
+        /// too much: the filters give none.
+        #[test]
+        fn time_beyond_counts_and_time_within_counts_half_backwards(
+            past in prop::collection::vec((
+                prop::option::weighted(0.95, prop_oneof![8 => -1.0..1.0_f32, 1 => ANY]),
+                prop_oneof![4 => 0..200_000_u32, 2 => Just(250_000), 1 => Just(500_000), 1 => Just(u32::MAX)],
+            ), 1..60),
+        ) {
+            let mut watch = UpsetWatch::new(FRAC_PI_4);
+            let mut beyond_us = 0_u64;
+            for (cos_tilt, dt_us) in past {
+                watch.update(cos_tilt, dt_us);
+                // 45° each are 60°, and 20° more: cos 80°.
+                let Some(cos_tilt) = cos_tilt else {
+                    beyond_us = 0;
+                    prop_assert!(!watch.upset());
+                    continue;
+                };
+                prop_assume!((cos_tilt - 0.173_648_18).abs() > 1e-6);
+                beyond_us = if cos_tilt < 0.173_648_18 {
+                    (beyond_us + u64::from(dt_us)).min(u64::from(u32::MAX))
+                } else {
+                    beyond_us.saturating_sub(u64::from(dt_us / 2))
+                };
+                prop_assert_eq!(watch.upset(), beyond_us > 500_000);
+            }
+        }
+    }
 
     /// When a vehicle with this tilt over time (degrees, s) is found to be upset, s.
     fn found_after(tilt_deg: impl Fn(f32) -> f32) -> Option<f32> {
@@ -71,6 +114,15 @@ mod tests {
         // Tumbling at 720 °/s: of each turn 200° are too far, so that 200/360 − ½ · 160/360 = ⅓ of the time counts.
         let after = found_after(|t| 720.0 * t).unwrap();
         assert!((1.0..1.6).contains(&after), "{after}");
+    }
+
+    #[test]
+    fn the_limit_itself_is_not_too_far() {
+        let mut watch = UpsetWatch::new(FRAC_PI_4);
+        watch.update(Some(watch.cos_limit), u32::MAX);
+        assert!(!watch.upset());
+        watch.update(Some(watch.cos_limit.next_down()), u32::MAX);
+        assert!(watch.upset());
     }
 
     #[test]

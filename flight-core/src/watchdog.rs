@@ -104,6 +104,40 @@ impl<const TASKS: usize> Roll<TASKS> {
 mod tests {
     use super::*;
     use Deadline::{Met, Missed};
+    use proptest::prelude::*;
+
+    proptest! {
+        /// Any clock, also one that jumps: a look finds late who has not been heard of for as long as it may be
+        /// silent, or has missed a deadline since the last look.
+        #[test]
+        fn a_look_at_any_time(
+            times in prop::collection::vec((
+                0..8_usize, any::<bool>(), any::<bool>(), prop_oneof![START_US..START_US + 1_000_000, any::<u64>()],
+            ), 1..60),
+        ) {
+            let mut roll = Roll::new(ALLOWED_US, START_US, GRACE_US);
+            let mut last: [Option<u64>; TASKS] = [None; TASKS];
+            let mut missed = [false; TASKS];
+            for (task, misses, looks, now_us) in times {
+                if !looks {
+                    roll.check_in(task, if misses { Missed } else { Met }, now_us);
+                    if task < TASKS {
+                        last[task] = Some(now_us);
+                        missed[task] |= misses;
+                    }
+                    continue;
+                }
+                let now = i128::from(now_us);
+                let is_late = |task: usize| missed[task] || match last[task] {
+                    Some(at_us) => (now - i128::from(at_us)).abs() > i128::from(ALLOWED_US[task]),
+                    None => now > i128::from(START_US + GRACE_US),
+                };
+                let set: u32 = (0..TASKS).filter(|task| is_late(*task)).map(|task| 1 << task).sum();
+                prop_assert_eq!(roll.may_feed(now_us), late(set));
+                missed = [false; TASKS];
+            }
+        }
+    }
 
     const TASKS: usize = 5;
     /// Periods of 1 to 100 ms, and a tenth on top.

@@ -1,5 +1,8 @@
 use std::vec::Vec;
 
+use proptest::num::f32::ANY;
+use proptest::prelude::*;
+
 use super::table::{Conditions, Row, decide, rows};
 use super::{ArmState, Arming, BenchMotor, Cause, Event};
 use ArmState::*;
@@ -279,4 +282,108 @@ fn the_permit_of_the_bench_turns_one_motor_up_to_its_limit() {
     // In flight the bench's motor means nothing.
     let permit = armed().permit(|| Some(motor)).unwrap();
     assert_eq!(permit.apply([1_900.0; 4], 1_000.0), [1_900.0; 4]);
+}
+
+/// Conditions that come and go, few of them at a time.
+fn moments() -> impl Strategy<Value = Vec<(C, u32, usize)>> {
+    let few = || (any::<u32>(), any::<u32>(), any::<u32>()).prop_map(|(a, b, c)| a & b & c);
+    let asking = prop_oneof![2 => Just(C::ARM), 1 => Just(C::empty()), 1 => Just(C::DISARM)];
+    let bits = prop_oneof![few(), Just(0), Just(C::RC_LOST.union(C::THROTTLE_UP).bits())];
+    let now = (bits, asking)
+        .prop_map(|(bits, asking)| (C::from_bits_truncate(bits) | asking).difference(C::TIME_UP));
+    let dt_us = prop_oneof![4 => 0..200_000_u32, 2 => Just(250_000), 1 => Just(500_000), 1 => Just(u32::MAX)];
+    prop::collection::vec((now, dt_us, 1..4_usize), 1..40)
+}
+
+proptest! {
+    /// The table, with the clock of the present state and a request that is answered once: told a second time, and
+    /// without looking at what was the same in the last step.
+    #[test]
+    fn whatever_comes_and_goes_is_decided_as_promised(moments in moments()) {
+        let mut arming = super::Arming::new(1_000_000);
+        let (mut state, mut in_state_us, mut answered) = (Disarmed, 0_u64, true);
+        for (shown, dt_us, times) in moments {
+            for _ in 0..times {
+                in_state_us += u64::from(dt_us);
+                let over = matches!(state, Arming if in_state_us >= 500_000)
+                    || matches!(state, Descent if in_state_us >= 1_000_000);
+                answered &= shown.contains(C::ARM);
+                let mut now = shown;
+                now.set(C::TIME_UP, over);
+                now.set(C::ARM, shown.contains(C::ARM) && !answered);
+                let expected = promised(state, now).map(|(to, cause)| event(state, to, cause));
+                prop_assert_eq!(arming.update(shown, dt_us), expected, "{:?} in {:?}", shown, state);
+                if let Some(Event { from, to, cause }) = expected {
+                    // Who asks is answered by the motors, or by a refusal.
+                    answered |= match from {
+                        Disarmed => matches!(to, Arming | Disarmed),
+                        Bench => cause == Cause::BenchCommand,
+                        Terminated | Maintenance => from == to,
+                        _ => false,
+                    };
+                    if from != to {
+                        (state, in_state_us) = (to, 0);
+                    }
+                }
+                prop_assert_eq!(arming.state(), state);
+                let permit = arming.permit(|| Some(BenchMotor { rotor: 0, limit_us: 1_200.0 }));
+                prop_assert_eq!(permit.is_some(), matches!(state, Armed | Descent | Bench));
+                prop_assert_eq!(state.flies(), matches!(state, Armed | Descent));
+            }
+        }
+    }
+
+    /// Whatever the pulses are: on the bench no motor but one gets more than the stop, and that one no more than its
+    /// limit, which is also what it gets for a pulse that is not a number.
+    #[test]
+    fn any_pulses_through_the_permit_of_the_bench(
+        pulses_us in prop::array::uniform4(ANY), rotor in 0..6_usize, limit_us in 1_000.0..2_000.0_f32,
+    ) {
+        let mut arming = super::Arming::new(1);
+        run(&mut arming, C::BENCH_COMMAND, 1);
+        let permit = arming.permit(|| Some(BenchMotor { rotor, limit_us })).unwrap();
+        for (index, (out, us)) in permit.apply(pulses_us, 1_000.0).into_iter().zip(pulses_us).enumerate() {
+            let expected = if index == rotor { us.min(limit_us) } else { 1_000.0 };
+            prop_assert_eq!(out, expected);
+        }
+    }
+}
+
+#[test]
+fn a_refusal_is_what_leaves_the_motors_stopped_although_the_pilot_asked() {
+    let all = || ArmState::ALL.into_iter();
+    for (from, to) in all().flat_map(|from| all().map(move |to| (from, to))) {
+        let refused = from == to || (from, to) == (Arming, Disarmed);
+        assert_eq!(event(from, to, Cause::Pilot).is_refusal(), refused, "{from:?} {to:?}");
+    }
+}
+
+/// What people are told: each state by its own name, each cause in words of its own.
+#[test]
+fn states_and_causes_can_be_told_apart() {
+    assert!(ArmState::ALL.iter().all(|state| state.name() == std::format!("{state:?}")));
+    let mut told: Vec<(&str, Cause)> = Vec::new();
+    for row in ArmState::ALL.into_iter().flat_map(rows) {
+        let text = row.cause.text();
+        assert!(
+            text.len() > 4 && told.iter().all(|(known, cause)| (*known == text) == (*cause == row.cause))
+        );
+        told.push((text, row.cause));
+    }
+    let causes =
+        told.iter().enumerate().filter(|(n, (text, _))| told[..*n].iter().all(|(known, _)| known != text));
+    assert_eq!(causes.count(), 23);
+}
+
+#[test]
+fn conditions_are_those_that_hold_named_once_or_twice() {
+    for bits in 0..16_u32 {
+        let [a, b, c, d] = [0, 1, 2, 3].map(|n| bits >> n & 1 == 1);
+        let held = C::of([(C::ARM, a), (C::UPSET, b), (C::RC_LOST, c), (C::ARM, d)]);
+        assert_eq!(
+            (held.contains(C::ARM), held.contains(C::UPSET), held.contains(C::RC_LOST)),
+            (a || d, b, c)
+        );
+        assert!((C::ARM | C::UPSET | C::RC_LOST).contains(held));
+    }
 }

@@ -71,6 +71,46 @@ impl Esc {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use proptest::num::f32::ANY;
+    use proptest::prelude::*;
+
+    proptest! {
+        /// Any map that is taken: its pulses are those of the straight line, cut at idle and full, for any speed; and
+        /// a speed that is not a number idles.
+        #[test]
+        fn pulses_of_any_speed(
+            stop_us in 100.0..2000.0_f32, span_us in 1.0..1000.0_f32,
+            max_rad_s in 1.0..1.0e4_f32, idle in 0.0..=0.5_f32,
+            share in prop_oneof![-0.5..1.5_f32, ANY],
+            any in ANY,
+        ) {
+            let (full_us, idle_rad_s) = (stop_us + span_us, idle * max_rad_s);
+            prop_assume!(full_us >= stop_us + 1.0);
+            let esc = Esc::new(&EscParams { stop_us, full_us }, idle_rad_s, max_rad_s).unwrap();
+            prop_assert_eq!(esc.stop_us(), stop_us);
+            let (stop, span) = (f64::from(stop_us), f64::from(full_us) - f64::from(stop_us));
+            let line = |share: f64, least: f64| stop + span * share.clamp(least, 1.0);
+            let near = |ours: f32, exact: f64| (f64::from(ours) - exact).abs() < 1e-3;
+            if !share.is_nan() {
+                let speed = f64::from(share * max_rad_s) / f64::from(max_rad_s);
+                prop_assert!(near(esc.pulse_us(share * max_rad_s), line(speed, f64::from(idle_rad_s) / f64::from(max_rad_s))));
+                prop_assert!(near(esc.pulse_of_share_us(share), line(f64::from(share), 0.0)));
+            }
+            for us in [esc.pulse_us(any), esc.pulse_of_share_us(any)] {
+                prop_assert!(us >= stop_us && us <= full_us, "{}: {}", any, us);
+            }
+            prop_assert_eq!(esc.pulse_us(f32::NAN), esc.pulse_us(0.0));
+            prop_assert_eq!(esc.pulse_of_share_us(f32::NAN), stop_us);
+        }
+
+        #[test]
+        fn any_pulses_are_a_map_or_refused(
+            stop_us in prop_oneof![0.0..4000.0_f32, ANY], full_us in prop_oneof![0.0..4000.0_f32, ANY],
+        ) {
+            let good = (100.0..=3000.0).contains(&stop_us) && full_us >= stop_us + 1.0 && full_us <= 3000.0;
+            prop_assert_eq!(Esc::new(&EscParams { stop_us, full_us }, 32.0, 320.0).is_ok(), good);
+        }
+    }
 
     #[test]
     fn line_and_limits() {

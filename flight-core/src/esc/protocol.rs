@@ -133,6 +133,58 @@ mod tests {
     use std::vec::Vec;
 
     use super::*;
+    use proptest::num::f32::ANY;
+    use proptest::prelude::*;
+
+    proptest! {
+        /// Any pulse and any timer: what goes out is that pulse cut to its range, to half a count; and DShot's
+        /// throttle is the one of the same pulse.
+        #[test]
+        fn counts_of_any_pulse(
+            us in prop_oneof![900.0..2100.0_f32, ANY],
+            per_us in prop_oneof![1.0..=32.0_f32, Just(32.0), Just(1.0)],
+            fast_per_us in prop_oneof![8.0..=262.0_f32, Just(262.0)],
+        ) {
+            let within = if us.is_nan() { 1_000.0 } else { f64::from(us).clamp(1_000.0, 2_000.0) };
+            let near = |counts: u16, exact: f64| (f64::from(counts) - exact).abs() <= 0.5 + 1e-7 * exact;
+            prop_assert!(near(pwm_counts(us, per_us), within * f64::from(per_us)));
+            prop_assert!(near(oneshot125_counts(us, fast_per_us), within * f64::from(fast_per_us) / 8.0));
+
+            let throttle = DshotThrottle::from_pulse(us).value();
+            if within <= 1_000.0 {
+                prop_assert_eq!(throttle, 0);
+            } else {
+                prop_assert!(near(throttle, 48.0 + (within - 1_000.0) * 1.999), "{}: {}", us, throttle);
+            }
+        }
+
+        /// Of a timer that is too fast or no timer, the counts are those of its 16 bits: the longest, or none.
+        #[test]
+        fn counts_of_any_timer(us in ANY, per_us in ANY) {
+            let exact = f64::from(within_range(us)) * f64::from(per_us);
+            let expected = if exact.is_nan() { 0.0 } else { exact.clamp(0.0, 65_535.0) };
+            prop_assert!((f64::from(pwm_counts(us, per_us)) - expected).abs() <= 0.51);
+        }
+
+        #[test]
+        fn any_rate_of_pwm(rate_hz in prop_oneof![0.0..500.0_f32, ANY]) {
+            prop_assert_eq!(Protocol::Pwm { rate_hz }.validate().is_ok(), (50.0..=400.0).contains(&rate_hz));
+        }
+
+        /// Any frame on any timer: as many highs as bits, each ¾ or ⅜ of a bit to half a count.
+        #[test]
+        fn duties_of_any_frame(frame in any::<u16>(), ticks in any::<u16>()) {
+            let duties = dshot_duties(frame, ticks);
+            for (index, duty) in duties.into_iter().enumerate() {
+                let share = match index {
+                    16.. => 0.0,
+                    index if frame & 0x8000 >> index != 0 => 0.75,
+                    _ => 0.375,
+                };
+                prop_assert!((f64::from(duty) - share * f64::from(ticks)).abs() <= 0.5);
+            }
+        }
+    }
 
     const OUT_OF_RANGE: [(f32, f32); 7] = [
         (f32::NAN, STOP_US),

@@ -55,10 +55,15 @@ impl GyroZero {
         let share = dt_s / self.still_s;
         self.mean_gyro += gyro_off * share;
         self.mean_accel += accel_off * share;
-        let plausible = self.mean_gyro.dot(self.mean_gyro) < MAX_BIAS * MAX_BIAS;
-        if self.still_s >= MIN_STILL_S && plausible {
+        if self.still_s < MIN_STILL_S {
+            return;
+        }
+        if self.mean_gyro.dot(self.mean_gyro) < MAX_BIAS * MAX_BIAS {
             self.bias = self.mean_gyro;
             self.zeroed = true;
+        } else {
+            // A turntable is no rest, zeroed before or not, and a gyroscope that reads the same 2,000 °/s for ever is broken.
+            self.still_s = 0.0;
         }
     }
 
@@ -67,7 +72,7 @@ impl GyroZero {
         self.still_s = 0.0;
     }
 
-    /// Whether the vehicle has been still for as long as a zero takes, up to the last sample.
+    /// Whether the vehicle has been still for as long as a zero takes, up to the last sample, and not turning steadily.
     pub fn still(&self) -> bool {
         self.still_s >= MIN_STILL_S
     }

@@ -81,7 +81,8 @@ pub enum Kinematics {
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct RobustParams {
-    /// τ of the tilt, s: the gyroscope above 1/(√2 π τ) Hz, the accelerometer below.
+    /// τ of the tilt, s: the gyroscope above 1/(√2 π τ) Hz, the accelerometer below. In steps longer than τ more is
+    /// turned back than there is to turn.
     pub tilt_tau_s: f32,
     /// τ of the heading, s.
     pub heading_tau_s: f32,
@@ -265,7 +266,8 @@ impl Estimator {
         }
     }
 
-    /// Heading of the body's x axis, rad, clockwise from true north, in [−π, π].
+    /// Heading of the body's x axis, rad, clockwise from true north, in [−π, π]. Of [`Kinematics::Euler`] it is the
+    /// yaw, which does not turn round where the pitch goes over the vertical.
     #[inline]
     pub fn heading(&self) -> f32 {
         let q = match self {

@@ -449,3 +449,6 @@ impl North {
         self.offset = vec3(within(learnt.x), within(learnt.y), within(learnt.z));
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -6,6 +6,8 @@ use crate::arithmetic::wrap_pi;
 use crate::geometry::vec3;
 use core::f32::consts::{FRAC_PI_2, PI};
 
+mod properties;
+
 const G: f32 = crate::STANDARD_GRAVITY;
 const LEVEL: Vec3<f32> = vec3(0.0, 0.0, -G);
 /// Field at Ankara, level and pointing north, µT.

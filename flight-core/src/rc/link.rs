@@ -62,6 +62,8 @@ impl Link {
 mod tests {
     use super::*;
     use crate::rc::CENTRE_TICKS;
+    use crate::sample::LinkStatus::Good;
+    use proptest::prelude::*;
 
     const FRAME: RcFrame = RcFrame {
         channels: [CENTRE_TICKS; 4],
@@ -69,6 +71,41 @@ mod tests {
         mode_switch: CENTRE_TICKS,
         status: LinkStatus::Good,
     };
+
+    proptest! {
+        /// From the times of the good frames alone: the link holds while there is no gap of more than half a second
+        /// in them, from a frame half a second ago up to now.
+        #[test]
+        fn a_link_is_half_a_second_of_frames_without_a_gap(
+            past in prop::collection::vec((
+                prop::option::weighted(0.6, prop::sample::select(
+                    &[Good, Good, Good, Good, LinkStatus::FrameLost, LinkStatus::Failsafe][..],
+                )),
+                prop_oneof![6 => 0..100_000_u32, 2 => Just(250_000), 1 => Just(500_000), 1 => Just(500_001), 1 => Just(u32::MAX)],
+            ), 1..80),
+        ) {
+            let mut link = Link::default();
+            prop_assert!(link.lost());
+            let mut now_us = 0_u64;
+            // The first and the last of the frames that hang together.
+            let mut chain: Option<(u64, u64)> = None;
+            for (status, dt_us) in past {
+                now_us += u64::from(dt_us);
+                let frame = status.map(|status| RcFrame { status, ..FRAME });
+                let taken = link.take(frame.as_ref(), dt_us);
+                if status == Some(LinkStatus::Failsafe) {
+                    chain = None;
+                }
+                chain = chain.filter(|(_, last_us)| now_us - last_us <= 500_000);
+                if status == Some(LinkStatus::Good) {
+                    chain = Some((chain.map_or(now_us, |(first_us, _)| first_us), now_us));
+                }
+                let holds = chain.is_some_and(|(first_us, _)| now_us - first_us >= 500_000);
+                prop_assert_eq!(link.lost(), !holds);
+                prop_assert_eq!(taken, frame.as_ref().filter(|frame| holds && frame.status == LinkStatus::Good));
+            }
+        }
+    }
 
     /// Runs milliseconds; a frame of this status every 20th, and none for `None`. Returns whether it is lost at the
     /// end, and how many frames were the pilot's.

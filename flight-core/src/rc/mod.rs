@@ -152,6 +152,61 @@ pub enum Gesture {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        /// Any ticks, also such as no receiver sends: within range, a straight line on either side of the centre, and
+        /// full deflection beyond the ends.
+        #[test]
+        fn sticks_of_any_ticks(
+            channels in prop::array::uniform4(prop_oneof![
+                0..=2047_u16, any::<u16>(), prop::sample::select(&[172, 992, 1811, 253, 254, 1729, 1730][..]),
+            ]),
+            mode_switch in prop_oneof![4 => any::<u16>(), 1 => 1_401..=1_402_u16],
+        ) {
+            let frame = RcFrame { channels, arm_switch: 0, mode_switch, status: LinkStatus::Good };
+            let sticks = Sticks::from_frame(&frame);
+            let line = |ticks: u16, low: f64, high: f64| {
+                // From `low` to 1 over the upper half, and the same slope below, but not below `low`.
+                let at = f64::from(ticks.clamp(172, 1811));
+                if high == 1811.0 - 172.0 { (at - 172.0) / high } else { ((at - 992.0) / high).max(low) }
+            };
+            let near = |ours: f32, exact: f64| (f64::from(ours) - exact).abs() < 1e-7;
+            prop_assert!(near(sticks.throttle, line(channels[0], 0.0, 1639.0)));
+            for (ours, ticks) in [sticks.roll, sticks.pitch, sticks.yaw].into_iter().zip(&channels[1..]) {
+                prop_assert!(near(ours, line(*ticks, -1.0, 819.0)), "{}: {}", ticks, ours);
+            }
+            // 5 % of 1,639 are 81.95 ticks, 90 % of 819 are 737.1.
+            let low = channels[0] < 254;
+            prop_assert_eq!(sticks.throttle_is_low(), low);
+            let gesture = match channels[3] {
+                1730.. if low => Gesture::Arm,
+                ..=254 if low => Gesture::Disarm,
+                _ => Gesture::None,
+            };
+            prop_assert_eq!(sticks.gesture(), gesture);
+            let rate = mode_switch > 1_401;
+            prop_assert_eq!(FlightMode::from_frame(&frame), if rate { FlightMode::Rate } else { FlightMode::Angle });
+        }
+
+        /// Any map gives a frame; one of channels that a receiver does not have is refused.
+        #[test]
+        fn maps_of_any_channels(
+            sticks in prop::array::uniform4(0..20_u8), arm in 0..20_u8, mode in any::<u8>(),
+            channels in prop::array::uniform16(any::<u16>()),
+        ) {
+            let map = ChannelMap { sticks, arm, mode };
+            let all = sticks.into_iter().chain([arm, mode]);
+            let good = all.clone().all(|channel| channel < 16);
+            prop_assert_eq!(map.validate().is_ok(), good);
+            let frame = map.frame(&channels, LinkStatus::Good);
+            if good {
+                let ticks: std::vec::Vec<u16> = all.map(|channel| channels[usize::from(channel)]).collect();
+                prop_assert_eq!(&ticks[..4], &frame.channels[..]);
+                prop_assert_eq!(&ticks[4..], &[frame.arm_switch, frame.mode_switch][..]);
+            }
+        }
+    }
 
     #[test]
     fn ends_and_centre() {
@@ -169,6 +224,23 @@ mod tests {
         assert_eq!(high.gesture(), Gesture::None);
         let arm = Sticks::from_frame(&frame([LOW_TICKS, CENTRE_TICKS, CENTRE_TICKS, HIGH_TICKS]));
         assert_eq!((arm.gesture(), arm.roll, arm.pitch), (Gesture::Arm, 0.0, 0.0));
+    }
+
+    #[test]
+    fn a_gesture_is_beyond_its_limits_and_not_at_them() {
+        let sticks = |throttle, yaw| Sticks { throttle, yaw, ..Sticks::default() };
+        for (throttle, yaw, gesture) in [
+            (0.05, 1.0, Gesture::None),
+            (0.05_f32.next_down(), 1.0, Gesture::Arm),
+            (0.0, 0.9, Gesture::None),
+            (0.0, 0.9_f32.next_up(), Gesture::Arm),
+            (0.0, -0.9, Gesture::None),
+            (0.0, -(0.9_f32.next_up()), Gesture::Disarm),
+            (f32::NAN, 1.0, Gesture::None),
+            (0.0, f32::NAN, Gesture::None),
+        ] {
+            assert_eq!(sticks(throttle, yaw).gesture(), gesture, "{throttle} {yaw}");
+        }
     }
 
     #[test]

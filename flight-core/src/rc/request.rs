@@ -84,6 +84,52 @@ impl Requests {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        /// What is asked for is what has been shown in each step since long enough ago, the first of them not counted:
+        /// nobody knows since when it has been shown there. The switch asks for the motors only after it has been
+        /// seen off.
+        #[test]
+        fn a_request_is_what_has_been_shown_for_long_enough(
+            by in prop::sample::select(&[ArmBy::Sticks, ArmBy::Switch][..]),
+            past in prop::collection::vec((
+                prop::sample::select(&[Gesture::Arm, Gesture::Disarm, Gesture::None][..]),
+                prop_oneof![
+                    4 => prop::sample::select(&[LOW_TICKS, CENTRE_TICKS, HIGH_TICKS, 1_401, 1_402, 581, 582][..]),
+                    1 => any::<u16>(),
+                ],
+                prop::bool::weighted(0.05),
+                1..8_usize,
+                prop_oneof![3 => 0..200_000_u32, 2 => Just(100_000), 1 => Just(250_000), 1 => Just(1_000_000), 1 => Just(u32::MAX)],
+            ), 1..20),
+        ) {
+            let mut requests = Requests::default();
+            let (mut seen_off, mut shown, mut held_us) = (false, None, 0_u64);
+            for (gesture, switch, lost, times, dt_us) in past {
+                for _ in 0..times {
+                    requests.update(by, gesture, switch, lost, dt_us);
+                    // Three quarters of the way up from 172 to 1811 are 1401, a quarter 582.
+                    let (on, off) = (switch > 1_401, switch < 582);
+                    seen_off = !lost && (seen_off || !on);
+                    let now = match by {
+                        _ if lost => None,
+                        ArmBy::Sticks => match gesture {
+                            Gesture::Arm => Some(true),
+                            Gesture::Disarm => Some(false),
+                            Gesture::None => None,
+                        },
+                        ArmBy::Switch => if on && seen_off { Some(true) } else if off { Some(false) } else { None },
+                    };
+                    held_us = if now == shown { held_us + u64::from(dt_us) } else { 0 };
+                    shown = now;
+                    let disarm_us = if by == ArmBy::Sticks { 500_000 } else { 100_000 };
+                    prop_assert_eq!(requests.arm(), shown == Some(true) && held_us >= 1_000_000);
+                    prop_assert_eq!(requests.disarm(by), shown == Some(false) && held_us >= disarm_us);
+                }
+            }
+        }
+    }
 
     #[test]
     fn gestures_must_be_held() {

@@ -1,0 +1,516 @@
+//! Every public function of the estimators over its whole domain: eq 18 against second filters in f64, the gyroscope's
+//! zero against the plain mean, and what is promised of anything that comes in.
+
+use super::*;
+use crate::geometry::Mat3;
+use proptest::num::f32::ANY;
+use proptest::prelude::*;
+use std::vec::Vec;
+
+type V = Vec3<f64>;
+
+fn double(v: Vec3<f32>) -> V {
+    <[f32; 3]>::from(v).map(f64::from).into()
+}
+
+fn about(size: f32) -> impl Strategy<Value = Vec3<f32>> {
+    [-size..size, -size..size, -size..size].prop_map(Vec3::from)
+}
+
+/// A sample, and the time before it.
+#[derive(Clone, Copy, Debug)]
+struct Sample {
+    gyro: Vec3<f32>,
+    accel: Vec3<f32>,
+    mag: Option<Vec3<f32>>,
+    dt_s: f32,
+}
+
+/// Anything that a sensor may read, mostly near to what it reads at rest.
+fn sample() -> impl Strategy<Value = Sample> {
+    let gyro = prop_oneof![about(0.3), about(8.0)];
+    let accel = prop_oneof![4 => about(4.0).prop_map(|off| off + LEVEL), 2 => about(20.0), 1 => about(0.5)];
+    let vertical = about(0.5).prop_map(|off| off + vec3(0.0, 0.0, 45.0));
+    let field = prop_oneof![4 => about(15.0).prop_map(|off| off + FIELD), 1 => about(60.0), 1 => vertical];
+    let dt_s = prop_oneof![1 => Just(0.0_f32), 6 => 1.0e-4..0.05_f32];
+    (gyro, accel, prop::option::weighted(0.7, field), dt_s).prop_map(|(gyro, accel, mag, dt_s)| Sample {
+        gyro,
+        accel,
+        mag,
+        dt_s,
+    })
+}
+
+fn weight() -> impl Strategy<Value = Weight> {
+    prop_oneof![
+        2 => (0.02..2.0_f32).prop_map(|tau_s| Weight::TimeConstant { tau_s }),
+        1 => (1.0e-3..1.0e4_f32).prop_map(|tau_s| Weight::TimeConstant { tau_s }),
+        2 => (0.0..=1.0_f32).prop_map(|alpha| Weight::Fixed { alpha }),
+    ]
+}
+
+/// Eq 18's 1 − α.
+fn of_measurement(weight: Weight, dt_s: f64) -> f64 {
+    match weight {
+        Weight::TimeConstant { tau_s } => 1.0 - f64::from(tau_s) / (f64::from(tau_s) + dt_s),
+        Weight::Fixed { alpha } => 1.0 - f64::from(alpha),
+    }
+}
+
+/// `None` where rounding may decide whether a < b.
+fn below(a: f64, b: f64) -> Option<bool> {
+    ((a - b).abs() > 1e-3 * b).then_some(a < b)
+}
+
+/// The rotation by a vector, by Rodrigues' formula.
+fn rotation(r: V) -> Mat3<f64> {
+    let angle = r.norm();
+    if angle == 0.0 {
+        return Mat3::IDENTITY;
+    }
+    let axis = r * (1.0 / angle);
+    let (sin, cos) = angle.sin_cos();
+    let turned = |v: V| v * cos + axis.cross(v) * sin + axis * (axis.dot(v) * (1.0 - cos));
+    Mat3 { rows: [vec3(1.0, 0.0, 0.0), vec3(0.0, 1.0, 0.0), vec3(0.0, 0.0, 1.0)].map(turned) }.transpose()
+}
+
+/// The flight filter on a rotation matrix: the share of the angle between two directions, about their common normal.
+struct OnAMatrix {
+    weight: Weight,
+    declination: f64,
+    attitude: Mat3<f64>,
+    /// How old tilt and heading are, once they are begun.
+    tilt_age: Option<f64>,
+    heading_age: Option<f64>,
+    mag_dt: f64,
+}
+
+impl OnAMatrix {
+    /// The share of a measurement: all of it for the first, then a mean's until it is τ old. Returns the age, too.
+    fn share(&self, age: Option<f64>, dt: f64) -> Option<(f64, f64)> {
+        let share = match (age, self.weight) {
+            (None, _) => 1.0,
+            (Some(age), Weight::TimeConstant { tau_s }) if dt > 0.0 && below(age, tau_s.into())? => {
+                dt / (age + dt)
+            }
+            (Some(_), weight) => of_measurement(weight, dt),
+        };
+        Some((share, age.unwrap_or(0.0) + dt))
+    }
+
+    /// `None` where a rounding decides.
+    fn update(&mut self, now: &Sample) -> Option<()> {
+        let dt = f64::from(now.dt_s);
+        self.attitude = self.attitude * rotation(double(now.gyro) * dt);
+        let force = double(now.accel);
+        if !below(force.norm(), 0.980_665)? {
+            let measured = self.attitude * (force * (-1.0 / force.norm()));
+            let (sin, cos) = (measured.cross(Vec3::Z).norm(), measured.z);
+            let angle = sin.atan2(cos);
+            if angle > core::f64::consts::PI - 0.03 {
+                return None;
+            }
+            let (share, age) = self.share(self.tilt_age, dt)?;
+            self.tilt_age = Some(age);
+            if sin > 0.0 {
+                // In the world: what was measured to be down goes towards the vertical.
+                let back = measured.cross(Vec3::Z) * (share * angle / sin);
+                self.attitude = rotation(back) * self.attitude;
+            }
+        }
+        self.mag_dt += dt;
+        if let Some(mag) = now.mag {
+            let field = self.attitude * double(mag);
+            if !below(field.x.hypot(field.y), 1.0)? {
+                let excess = remainder(field.y.atan2(field.x) - self.declination);
+                if excess.abs() > core::f64::consts::PI - 1e-3 {
+                    return None;
+                }
+                let (share, age) = self.share(self.heading_age, self.mag_dt)?;
+                self.heading_age = Some(age);
+                self.mag_dt = 0.0;
+                self.attitude = rotation(vec3(0.0, 0.0, -share * excess)) * self.attitude;
+            }
+        }
+        Some(())
+    }
+}
+
+/// The paper's filter, as [`PaperInDouble`], with all that may be missing.
+struct InAngles {
+    weight: Weight,
+    declination: f64,
+    angles: [f64; 3],
+    started: (bool, bool),
+    mag_dt: f64,
+}
+
+impl InAngles {
+    fn update(&mut self, now: &Sample) -> Option<()> {
+        let dt = f64::from(now.dt_s);
+        let [roll, pitch, yaw] = self.angles;
+        let [p, q, r] = <[f64; 3]>::from(double(now.gyro));
+        let ((sr, cr), (sp, cp)) = (roll.sin_cos(), pitch.sin_cos());
+        // Near the vertical the angles themselves amplify what is lost by rounding.
+        if cp.abs() < 0.1 {
+            return None;
+        }
+        let turn = q * sr + r * cr;
+        self.angles =
+            [roll + dt * (p + turn * sp / cp), pitch + dt * (q * cr - r * sr), yaw + dt * turn / cp];
+        let [fx, fy, fz] = <[f64; 3]>::from(double(now.accel));
+        let blend = |a: f64, b: f64, share: f64| {
+            let off = remainder(b - a);
+            (off.abs() < core::f64::consts::PI - 1e-3).then_some(a + share * off)
+        };
+        if !below(double(now.accel).norm(), 0.980_665)? {
+            if fy.hypot(fz) < 0.05 {
+                return None;
+            }
+            let share = if self.started.0 { of_measurement(self.weight, dt) } else { 1.0 };
+            self.started.0 = true;
+            self.angles[0] = blend(self.angles[0], (-fy).atan2(-fz), share)?;
+            self.angles[1] = blend(self.angles[1], fx.atan2(fy.hypot(fz)), share)?;
+        }
+        self.mag_dt += dt;
+        if let Some(mag) = now.mag {
+            // Rotated level: by roll about x, then by pitch about y.
+            let [roll, pitch, yaw] = self.angles;
+            let about_x = rotation(vec3(roll, 0.0, 0.0));
+            let about_y = rotation(vec3(0.0, pitch, 0.0));
+            let level = about_y * (about_x * double(mag));
+            if !below(level.x.hypot(level.y), 1.0)? {
+                let share = if self.started.1 { of_measurement(self.weight, self.mag_dt) } else { 1.0 };
+                self.started.1 = true;
+                self.mag_dt = 0.0;
+                self.angles[2] = blend(yaw, (-level.y).atan2(level.x) + self.declination, share)?;
+            }
+        }
+        Some(())
+    }
+}
+
+/// The filters, and the two that no preset has.
+fn every_method() -> impl Strategy<Value = EstimatorParams> {
+    let kinematics = prop::sample::select(&[Kinematics::Euler, Kinematics::Quaternion][..]);
+    let complementary =
+        (kinematics, weight()).prop_map(|(kinematics, weight)| Method::Complementary { kinematics, weight });
+    let robust = (0.1..=100.0_f32, 0.1..=1000.0_f32)
+        .prop_map(|(tilt_tau_s, heading_tau_s)| Method::Robust(RobustParams { tilt_tau_s, heading_tau_s }));
+    let method = prop_oneof![2 => complementary, 1 => robust];
+    (method, -PI..=PI).prop_map(|(method, declination_rad)| EstimatorParams { method, declination_rad })
+}
+
+proptest! {
+    #[test]
+    fn the_flight_filter_is_one_on_a_matrix_in_f64(
+        weight in weight(), declination_rad in -3.0..3.0_f32, samples in prop::collection::vec(sample(), 1..40),
+    ) {
+        let method = Method::Complementary { kinematics: Kinematics::Quaternion, weight };
+        let mut ours = Estimator::new(&EstimatorParams { method, declination_rad }).unwrap();
+        let mut twin = OnAMatrix {
+            weight,
+            declination: declination_rad.into(),
+            attitude: Mat3::IDENTITY,
+            tilt_age: None,
+            heading_age: None,
+            mag_dt: 0.0,
+        };
+        for now in &samples {
+            ours.update(now.gyro, now.accel, now.mag, now.dt_s);
+            if twin.update(now).is_none() {
+                return Ok(());
+            }
+            let rows = ours.attitude().to_matrix().rows.map(double);
+            let off = rows.iter().zip(twin.attitude.rows).map(|(a, b)| (*a - b).norm()).fold(0.0, f64::max);
+            prop_assert!(off < 2e-4, "{} apart: {:?}", off, ours);
+            prop_assert_eq!(ours.started(), twin.tilt_age.is_some());
+        }
+    }
+
+    #[test]
+    fn the_papers_filter_is_one_in_f64_whatever_is_missing(
+        weight in weight(), declination_rad in -3.0..3.0_f32, samples in prop::collection::vec(sample(), 1..40),
+    ) {
+        let method = Method::Complementary { kinematics: Kinematics::Euler, weight };
+        let mut ours = Estimator::new(&EstimatorParams { method, declination_rad }).unwrap();
+        let mut twin = InAngles {
+            weight,
+            declination: declination_rad.into(),
+            angles: [0.0; 3],
+            started: (false, false),
+            mag_dt: 0.0,
+        };
+        for now in &samples {
+            ours.update(now.gyro, now.accel, now.mag, now.dt_s);
+            if twin.update(now).is_none() {
+                return Ok(());
+            }
+            let Estimator::Euler(filter) = &ours else { unreachable!("the filter is in Euler angles") };
+            for (ours, exact) in filter.angles().into_iter().zip(twin.angles) {
+                prop_assert!(remainder(f64::from(ours) - exact).abs() < 5e-4, "{} {}", ours, exact);
+                prop_assert!(ours.abs() <= PI + 1e-6);
+            }
+            prop_assert_eq!(ours.started(), twin.started.0);
+        }
+    }
+
+    /// Of any filter in any attitude: tilt, heading and attitude say the same, and a first sample starts it.
+    #[test]
+    fn tilt_heading_and_attitude_are_one(params in every_method(), samples in prop::collection::vec(sample(), 1..20)) {
+        let mut e = Estimator::new(&params).unwrap();
+        prop_assert!(!e.started());
+        for now in &samples {
+            e.update(now.gyro, now.accel, now.mag, now.dt_s);
+            let q = e.attitude();
+            prop_assert!((e.down() - q.down()).norm() < 2e-5, "{:?}", e);
+            let angles = q.to_euler();
+            // The paper's pitch may go over the vertical, and its yaw stays what it is.
+            let over = matches!(&e, Estimator::Euler(filter) if filter.angles()[1].abs() > 1.5);
+            if angles.pitch.abs() < 1.5 && !over {
+                prop_assert!(wrap_pi(e.heading() - angles.yaw).abs() < 2e-5, "{:?}", e);
+            }
+            prop_assert!(e.heading().abs() <= PI + 1e-6);
+            prop_assert_eq!(e.is_a_low_pass(), matches!(params.method, Method::Robust(_)));
+            if !e.is_a_low_pass() {
+                prop_assert_eq!(e.gyro_bias(), Vec3::ZERO);
+            }
+        }
+    }
+
+    /// Begun again, or with the news that there is no bias, a filter that learns none goes on as if nothing had been.
+    #[test]
+    fn begun_again_it_is_new(params in every_method(), samples in prop::collection::vec(sample(), 1..20)) {
+        let [mut used, mut fresh] = [Estimator::new(&params).unwrap(); 2];
+        for now in &samples {
+            used.update(now.gyro, now.accel, now.mag, now.dt_s);
+        }
+        used.restart();
+        prop_assert!(!used.started() && used.gyro_bias() == Vec3::ZERO);
+        for now in &samples {
+            if !used.is_a_low_pass() {
+                used.gyro_zeroed();
+            }
+            used.update(now.gyro, now.accel, now.mag, now.dt_s);
+            fresh.update(now.gyro, now.accel, now.mag, now.dt_s);
+            prop_assert_eq!(used.attitude(), fresh.attitude());
+        }
+    }
+
+    /// What counts as a sample: less than 1,000 rad, 10⁸ m/s² and µT, after the last one. Tumbling as no vehicle can,
+    /// every attitude on the way is one.
+    #[test]
+    fn every_sample_leaves_a_finite_attitude(
+        params in every_method(),
+        samples in prop::collection::vec((
+            prop_oneof![about(8.0), about(500.0), Just(Vec3::ZERO), about(1e-30)],
+            prop_oneof![
+                about(20.0), about(5.0e7), Just(Vec3::ZERO), about(1e-30),
+                Just(vec3(0.0, 0.0, 9.8)), Just(vec3(9.8, 0.0, 0.0)),
+            ],
+            prop::option::of(prop_oneof![about(60.0), about(5.0e7), Just(Vec3::ZERO), about(1e-30)]),
+            prop_oneof![1.0e-6..1.0_f32, Just(1.0e-6), Just(0.001)],
+        ), 1..60),
+    ) {
+        let mut e = Estimator::new(&params).unwrap();
+        for (gyro, accel, mag, dt_s) in samples {
+            e.update(gyro, accel, mag, dt_s);
+            let q = e.attitude();
+            prop_assert!((q.norm_squared() - 1.0).abs() < 1e-3, "{:?}", e);
+            prop_assert!(e.heading().is_finite() && (e.down().norm() - 1.0).abs() < 2e-3, "{:?}", e);
+        }
+    }
+
+    #[test]
+    fn any_numbers_are_parameters_or_refused(
+        a in prop_oneof![ANY, 0.0..2.0_f32, 0.0..2.0e4_f32],
+        b in prop_oneof![ANY, 0.0..2000.0_f32],
+        declination_rad in prop_oneof![ANY, -4.0..4.0_f32],
+    ) {
+        let turns = (-PI..=PI).contains(&declination_rad);
+        let complementary = |weight| Method::Complementary { kinematics: Kinematics::Euler, weight };
+        for (method, good) in [
+            (complementary(Weight::TimeConstant { tau_s: a }), (1.0e-3..=1.0e4).contains(&a)),
+            (complementary(Weight::Fixed { alpha: a }), (0.0..=1.0).contains(&a)),
+            (
+                Method::Robust(RobustParams { tilt_tau_s: a, heading_tau_s: b }),
+                (0.1..=100.0).contains(&a) && (0.1..=1.0e3).contains(&b),
+            ),
+        ] {
+            prop_assert_eq!(Estimator::new(&EstimatorParams { method, declination_rad }).is_ok(), good && turns);
+        }
+    }
+
+    /// The zero is the plain mean of what was read since the vehicle lies still, each sample by the time it covers.
+    #[test]
+    fn the_gyroscopes_zero_is_the_mean_of_its_rest(
+        bias in about(0.25), runs in prop::collection::vec((
+            about(0.02), about(0.15),
+            prop_oneof![6 => Just(Vec3::ZERO), 1 => about(0.5)],
+            prop_oneof![
+                6 => Just(LEVEL),
+                1 => about(3.0).prop_map(|off| off + LEVEL),
+                3 => about(0.6).prop_map(|off| off + LEVEL),
+                1 => Just(LEVEL * 1.2),
+            ],
+            1.0e-3..0.05_f32, prop::bool::weighted(0.1), 1..40_usize,
+        ), 1..8),
+    ) {
+        let mut zero = GyroZero::default();
+        let mut rest: Vec<(V, V, f64)> = Vec::new();
+        let (mut learnt, mut zeroed) = (V::ZERO, false);
+        let mean = |rest: &[(V, V, f64)]| {
+            let time: f64 = rest.iter().map(|(_, _, dt)| dt).sum();
+            let [mut gyro, mut accel] = [V::ZERO; 2];
+            for (g, a, dt) in rest {
+                gyro += *g * (dt / time);
+                accel += *a * (dt / time);
+            }
+            (gyro, accel, time)
+        };
+        for (noise, shake, turn, accel, dt_s, interrupted, times) in runs {
+            if interrupted {
+                zero.interrupt();
+                prop_assert!(!zero.still());
+                rest.clear();
+            }
+            for time in 0..times {
+                let sign = if time % 2 == 0 { 1.0 } else { -1.0 };
+                let (gyro, accel) = (bias + turn + noise * sign, accel + shake * sign);
+                zero.learn(gyro, accel, dt_s);
+                let (gyro, accel) = (double(gyro), double(accel));
+                let (mean_gyro, mean_accel, _) = mean(&rest);
+                let steady = below((gyro - mean_gyro).norm(), 0.052).zip(below((accel - mean_accel).norm(), 0.6));
+                let weight = below((accel.norm() - 9.80665).abs(), 0.980_665);
+                let (Some((g, a)), Some(weight)) = (steady, weight) else { return Ok(()) };
+                let still = !rest.is_empty() && g && a && weight;
+                if !still {
+                    rest.clear();
+                }
+                rest.push((gyro, accel, dt_s.into()));
+                let (mean_gyro, _, time) = mean(&rest);
+                let Some(short) = below(time, 1.0) else { return Ok(()) };
+                let Some(slow) = below(mean_gyro.norm(), 0.35) else { return Ok(()) };
+                if still && !short && slow {
+                    (learnt, zeroed) = (mean_gyro, true);
+                }
+                if !short && !slow {
+                    rest.clear();
+                }
+                prop_assert_eq!(zero.still(), !short && slow);
+                prop_assert_eq!(zero.zeroed(), zeroed);
+                prop_assert!((double(zero.bias()) - learnt).norm() < 1e-5, "{:?}", zero);
+            }
+        }
+    }
+
+    /// Whatever comes, the bias is one that a gyroscope may have, and a vehicle that then lies still teaches it.
+    #[test]
+    fn anything_leaves_a_zero_that_can_be_learnt_anew(
+        samples in prop::collection::vec((
+            prop_oneof![about(0.3), [ANY, ANY, ANY].prop_map(Vec3::from)],
+            prop_oneof![Just(LEVEL), [ANY, ANY, ANY].prop_map(Vec3::from)],
+            prop_oneof![0.0..0.5_f32, ANY],
+        ), 0..40),
+        bias in about(0.2),
+    ) {
+        let mut zero = GyroZero::default();
+        for (gyro, accel, dt_s) in samples {
+            zero.learn(gyro, accel, dt_s);
+            prop_assert!(zero.bias().norm() <= 0.350_01, "{:?}", zero);
+        }
+        zero.interrupt();
+        for _ in 0..200 {
+            zero.learn(bias, LEVEL, 0.01);
+        }
+        prop_assert!(zero.zeroed() && zero.still() && (zero.bias() - bias).norm() < 1e-5, "{:?}", zero);
+    }
+}
+
+/// An eighth of a second is exact, and so are eight of them.
+#[test]
+fn a_second_of_rest_is_enough() {
+    let mut zero = GyroZero::default();
+    for n in 1..=8 {
+        zero.learn(vec3(0.1, 0.0, 0.0), LEVEL, 0.125);
+        assert_eq!((zero.still(), zero.zeroed()), (n == 8, n == 8), "{n}");
+    }
+}
+
+/// After ten seconds the mean forgets: of a step of the bias, (1 − Δt/10 s)ⁿ is left after n samples.
+#[test]
+fn a_long_rest_follows_a_drift() {
+    let mut zero = GyroZero::default();
+    for _ in 0..300 {
+        zero.learn(vec3(0.1, 0.0, 0.0), LEVEL, 0.05);
+    }
+    let step = vec3(0.0, 0.02, 0.0);
+    for n in 1..=400 {
+        zero.learn(vec3(0.1, 0.0, 0.0) + step, LEVEL, 0.05);
+        let left = 1.0 - zero.bias().y / step.y;
+        assert!((left - 0.995_f32.powi(n)).abs() < 2e-4, "{left} after {n}");
+    }
+}
+
+/// What is measured to be exactly opposite has no shortest way: any level axis serves, for the whole share of the half
+/// turn.
+#[test]
+fn half_a_turn_wrong_is_turned_back_by_its_share() {
+    let weight = Weight::Fixed { alpha: 0.75 };
+    let params = EstimatorParams::complementary(Kinematics::Quaternion, weight);
+    for down in [
+        [1.0, 0.0, 0.0],
+        [0.0, 1.0, 0.0],
+        [0.0, 0.0, 1.0],
+        [0.8, 0.6, 0.0],
+        [0.6, 0.8, 0.0],
+        [0.0, 0.6, -0.8],
+    ] {
+        for down in [Vec3::from(down), -Vec3::from(down)] {
+            let mut e = Estimator::new(&params).unwrap();
+            // 1 m/s², so that what is not quite opposite by rounding is so by less than 1e-6.
+            e.update(Vec3::ZERO, -down, None, 0.0);
+            e.update(Vec3::ZERO, down, None, 0.01);
+            let cos = e.down().dot(down);
+            assert!((cos - (0.25 * PI).cos()).abs() < 1e-5, "{down:?}: {cos}");
+            assert!((e.attitude().norm_squared() - 1.0).abs() < 1e-6);
+        }
+    }
+}
+
+/// At a magnetic pole the first field sets no heading, and neither does the hundredth.
+#[test]
+fn a_vertical_field_sets_no_heading() {
+    for (north, sets) in [(-0.99, false), (-1.01, true)] {
+        for mut e in all() {
+            for _ in 0..100 {
+                e.update(Vec3::ZERO, LEVEL, Some(vec3(north, 0.0, 48.0)), 0.01);
+                assert_eq!(e.heading().abs() > 3.0, sets, "{north} µT: {e:?}");
+            }
+        }
+    }
+}
+
+/// What falls freely shows no tilt to start from.
+#[test]
+fn free_fall_starts_nothing() {
+    for mut e in all() {
+        for force in [Vec3::ZERO, vec3(0.0, 0.5, 0.0), vec3(1e-30, 0.0, 0.0)] {
+            e.update(Vec3::ZERO, force, None, 0.01);
+            assert!(!e.started() && e.attitude() == Quaternion::IDENTITY, "{force:?}: {e:?}");
+        }
+    }
+}
+
+/// 0.98 m/s² of a force to the side: a little less says nothing, and a little more does.
+#[test]
+fn free_fall_ends_at_a_tenth_of_g() {
+    for (force, says) in [(0.975, false), (0.985, true)] {
+        for mut e in all() {
+            e.update(Vec3::ZERO, LEVEL, None, 0.0);
+            e.update(Vec3::ZERO, vec3(0.0, force, 0.0), None, 0.01);
+            let tilt = (e.down() - Vec3::Z).norm();
+            assert_eq!(tilt > 1e-6, says, "{force}: {tilt} {e:?}");
+        }
+    }
+}
