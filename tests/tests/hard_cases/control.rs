@@ -130,7 +130,7 @@ fn a_minute_of_winding_up_is_let_go_within_the_integrators_limit() {
 #[test]
 fn motors_that_are_slower_than_a_step_of_control() {
     // 50 ms of lag are fifty steps; at 150 ms the loop of the default gains is slow, and still holds.
-    for tau_s in [0.001, 0.02, 0.1] {
+    for tau_s in [0.001, 0.02, 0.1, 0.15] {
         let text = format!("include = \"steps\"\n[effects.vehicle.motor_lag]\ntau_s = {tau_s}\n");
         let scene = Scene::parse("slow.toml", &text).unwrap();
         let outcome = Flight::new(&scene, 1).run(&mut ());

@@ -90,6 +90,7 @@ fn a_gyroscope_at_its_end_costs_what_it_did_not_see_and_no_more() {
     // 3,000 °/s for 0.2 s where 2,000 are seen: 200° are missed, and found back.
     for (name, params) in EstimatorParams::PRESETS {
         let mut body = Body::at(Quaternion::IDENTITY, &params);
+        (0..20_000).for_each(|_| body.turn(Vec3::ZERO, 1e-3));
         let (true_rate, seen) = (vec3(3_000.0_f64.to_radians(), 0.0, 0.0), 2_000.0_f64.to_radians());
         for _ in 0..200 {
             let before = body.attitude;
@@ -99,9 +100,13 @@ fn a_gyroscope_at_its_end_costs_what_it_did_not_see_and_no_more() {
             body.estimator.update(single(vec3(seen, 0.0, 0.0)), accel, Some(mag), 1e-3);
             assert!(body.error_deg().is_finite(), "{name}");
         }
+        // To be upside down is no bias, and teaches none.
+        let mut bias = 0.0_f32;
         for _ in 0..150_000 {
             body.turn(Vec3::ZERO, 1e-3);
+            bias = bias.max(body.estimator.gyro_bias().norm().to_degrees());
         }
+        assert!(bias < 0.1, "{name}: a bias of {bias} °/s");
         assert!(body.error_deg() < 0.5, "{name}: {}°", body.error_deg());
     }
 }
