@@ -58,7 +58,7 @@ fn every_case_names_tests_and_protections_that_there_are() {
         }
         assert!(tests > 0, "{case} has no test");
         let named: Vec<_> = taken_out.split('`').skip(1).step_by(2).map(str::to_owned).collect();
-        // Of one case alone the page says that there is nothing to protect.
+        // Of the others the page says so.
         assert_eq!(named.is_empty(), bound.contains("nothing to protect"), "{case}: {taken_out}");
         protections.extend(named);
     }
