@@ -450,5 +450,5 @@ impl North {
     }
 }
 
-#[cfg(test)]
+#[cfg(all(test, not(miri)))] // thousands of samples beside a second filter: minutes for each under Miri
 mod tests;

@@ -6,6 +6,7 @@ use crate::arithmetic::wrap_pi;
 use crate::geometry::vec3;
 use core::f32::consts::{FRAC_PI_2, PI};
 
+#[cfg(not(miri))] // thousands of samples beside a second filter: minutes for each
 mod properties;
 
 const G: f32 = crate::STANDARD_GRAVITY;
