@@ -202,7 +202,7 @@ fn stages(gauge: &Gauge) -> Result<(), ConfigError> {
     gauge.stage("8 biquads one by one", raw(), |raw| (0..8).fold(raw.gyro.x, |x, _| biquad(&mut axis, x)));
     // The largest denormal is 1.2e-38, and the filter's gain 1: neither input nor state is ever a normal number.
     let mut axis = (axis.0, Section::default());
-    let denormals = INPUTS.map(|slot| f32::from_bits(slot % 1_000 * 5_000 | slot << 31));
+    let denormals = INPUTS.map(|slot| f32::from_bits((slot % 1_000 * 5_000) | (slot << 31)));
     gauge.stage("8 biquads of denormals", denormals, |x| (0..8).fold(*x, |x, _| biquad(&mut axis, x)));
 
     for (name, preset) in EstimatorParams::PRESETS {
