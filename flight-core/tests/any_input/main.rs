@@ -28,8 +28,8 @@ fn whatever_comes_in() {
     let reached = Mutex::new(BTreeSet::new());
     let refused = Mutex::new(0_u32);
     let usual = ProptestConfig::default().cases.max(2_000);
-    // A step takes Miri a hundredth of a second: it sees two short flights, and not the odds.
-    let (cases, longest) = if cfg!(miri) { (2, 80) } else { (usual, 400) };
+    // A step takes Miri a hundredth of a second: it sees one short flight, and not the odds.
+    let (cases, longest) = if cfg!(miri) { (1, 40) } else { (usual, 400) };
     let mut runner = TestRunner::new(ProptestConfig { cases, ..ProptestConfig::default() });
     runner
         .run(&prop::collection::vec(any::<u8>(), 0..longest), |bytes| {
