@@ -200,10 +200,15 @@ fn stages(gauge: &Gauge) -> Result<(), ConfigError> {
     first.print("first sample of 9 prefilters");
     let mut axis = (Biquad::butterworth(30.0, params.imu_rate_hz)?, Section::default());
     gauge.stage("8 biquads one by one", raw(), |raw| (0..8).fold(raw.gyro.x, |x, _| biquad(&mut axis, x)));
-    // The largest denormal is 1.2e-38, and the filter's gain 1: neither input nor state is ever a normal number.
+    // A step of full scale, its tail through the denormals, and then denormals only: the largest is 1.2e-38, and the
+    // filter's gain 1.
     let mut axis = (axis.0, Section::default());
-    let denormals = INPUTS.map(|slot| f32::from_bits((slot % 1_000 * 5_000) | (slot << 31)));
-    gauge.stage("8 biquads of denormals", denormals, |x| (0..8).fold(*x, |x, _| biquad(&mut axis, x)));
+    let tail = INPUTS.map(|slot| match slot - FLIGHT {
+        0..100 => 2_000.0,
+        100..600 => 0.0,
+        _ => f32::from_bits((slot % 1_000 * 5_000) | (slot << 31)),
+    });
+    gauge.stage("8 biquads down a tail", tail, |x| (0..8).fold(*x, |x, _| biquad(&mut axis, x)));
 
     for (name, preset) in EstimatorParams::PRESETS {
         for (axes, update) in [(9, update_9_axis as fn(&mut Estimator, &Reading)), (6, update_6_axis)] {
