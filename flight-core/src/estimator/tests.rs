@@ -7,7 +7,7 @@ use crate::geometry::vec3;
 use core::f32::consts::{FRAC_PI_2, PI};
 
 #[cfg(not(miri))] // thousands of samples beside a second filter: minutes for each
-mod properties;
+pub(super) mod properties;
 
 const G: f32 = crate::STANDARD_GRAVITY;
 const LEVEL: Vec3<f32> = vec3(0.0, 0.0, -G);

@@ -1,6 +1,7 @@
 //! The whole filter against a second one: in f64, on a rotation matrix instead of a quaternion, turned in the world
 //! instead of the body, with the variances as information. And its parts at the ends of their ranges.
 
+use super::super::tests::properties::rotation;
 use super::*;
 use crate::geometry::Mat3;
 use proptest::num::f32::ANY;
@@ -11,19 +12,6 @@ type V = Vec3<f64>;
 
 fn double(v: Vec3<f32>) -> V {
     <[f32; 3]>::from(v).map(f64::from).into()
-}
-
-/// Rodrigues: the rotation by a vector, as a matrix.
-fn rotation(r: V) -> Mat3<f64> {
-    let angle = r.norm();
-    if angle == 0.0 {
-        return Mat3::IDENTITY;
-    }
-    let axis = r * (1.0 / angle);
-    let (sin, cos) = angle.sin_cos();
-    let columns = [vec3(1.0, 0.0, 0.0), vec3(0.0, 1.0, 0.0), vec3(0.0, 0.0, 1.0)]
-        .map(|v: V| v * cos + axis.cross(v) * sin + axis * (axis.dot(v) * (1.0 - cos)));
-    Mat3 { rows: columns }.transpose()
 }
 
 fn each(v: V, f: impl Fn(f64) -> f64) -> V {

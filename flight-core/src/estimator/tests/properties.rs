@@ -63,7 +63,7 @@ fn below(a: f64, b: f64) -> Option<bool> {
 }
 
 /// The rotation by a vector, by Rodrigues' formula.
-fn rotation(r: V) -> Mat3<f64> {
+pub(in crate::estimator) fn rotation(r: V) -> Mat3<f64> {
     let angle = r.norm();
     if angle == 0.0 {
         return Mat3::IDENTITY;
