@@ -353,7 +353,7 @@ impl Machine<'_> {
                 self.several(load, base, 0, list, write_back);
             }
             // Branches
-            0xd0..=0xdf | 0xe0..=0xe7 => {}
+            0xd0..=0xe7 => {}
             _ => self.registers.forget_all(),
         }
     }
@@ -515,7 +515,7 @@ impl Machine<'_> {
         } else if bit(second, 11) {
             let (before, up, write_back) = (bit(second, 10), bit(second, 9), bit(second, 8));
             let there = result(if up { ADD } else { SUB }, self.get(base), Known(second & 0xff));
-            moved = Some(there).filter(|_| write_back);
+            moved = write_back.then_some(there);
             if before { there } else { self.get(base) }
         } else {
             let index = shifted(self.get(second & 15), 0, second >> 4 & 3);
