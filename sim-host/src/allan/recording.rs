@@ -10,7 +10,7 @@
 //!
 //! # Memory
 //! A column is held as doubles and turned into its running sums in place: 0.8 GB for 10⁸ rows. The file is
-//! read again as often as it takes for no more than [`MEMORY`] to be held at once.
+//! read again as often as it takes for no more than `MEMORY` to be held at once.
 
 use std::fmt;
 use std::fs::File;
