@@ -25,6 +25,9 @@
 //! The tasks below are the same in flight, on a desk and on QEMU; what differs lies in [`board`]. With the feature
 //! `bench` the outputs are never driven, and every sample is logged.
 //!
+//! # The last step
+//! Each step's input and outcome stand in RAM at the symbol `FLIGHT_RECORD`, for a debug probe ([`recorder`]).
+//!
 //! `docs/timing.md` has each task's worst time and what follows from it.
 #![no_std]
 #![no_main]
@@ -40,6 +43,7 @@ mod fault;
 mod inbox;
 #[cfg(not(feature = "unwired"))]
 mod pilot;
+mod recorder;
 mod sampling;
 mod stm32f405;
 mod tally;
@@ -92,15 +96,16 @@ const IMAGE_NAME: &str = match (cfg!(feature = "unwired"), cfg!(feature = "bench
 #[rtic::app(device = stm32f4xx_hal::pac, peripherals = true, dispatchers = [CRYP, DCMI])]
 mod app {
     use flight_core::arming::Event;
+    use flight_core::record::Outcome;
     use flight_core::sample::Health;
     use flight_core::watchdog::Deadline;
     use flight_core::{FlightController, Input};
 
     use crate::board::{self, Board, Compass, Ear, Monitor, Outputs, Radio, Sampler, Step, Supply, Watchdog};
     use crate::inbox::Inbox;
-    use crate::sampling;
     use crate::tally::TALLY;
     use crate::watch::{self, COMPASS_TICKS, HEALTH_TICKS, SUPPLY_TICKS, Task, Watch};
+    use crate::{recorder, sampling};
 
     /// The outputs are locked, because people are about.
     const BENCH: bool = cfg!(feature = "bench");
@@ -194,7 +199,7 @@ mod app {
         let Some(sample) = sampler.take(board::now_us()) else { return };
 
         let Inbox { rc, mag, battery } = inbox.lock(core::mem::take);
-        let output = controller.step(&Input {
+        let input = Input {
             time_us: sample.time_us,
             imu: sample.imu,
             mag,
@@ -207,26 +212,35 @@ mod app {
                 watchdog_reset: *watchdog_reset,
                 missed_deadlines: watch::missed(),
             },
-        });
-        match output.permit {
-            Some(permit) if !BENCH => outputs.drive(permit, output.pulses_us),
-            _ => outputs.stop(),
-        }
+        };
+        let output = controller.step(&input);
+        let driven = match output.permit {
+            Some(permit) if !BENCH => {
+                outputs.drive(permit, output.pulses_us);
+                true
+            }
+            _ => {
+                outputs.stop();
+                false
+            }
+        };
 
         #[cfg(feature = "bench")]
         stream::spawn(sample.time_us, sample.imu, mag).ok();
         let attitude = controller.attitude();
+        let (pulses_us, state, event) = (output.pulses_us, output.state, output.event);
+        recorder::write(&input, &Outcome { driven, pulses_us, state, event, attitude });
         let sampled = sample.imu.is_some();
         monitor.show(&Step {
             time_us: sample.time_us,
             sampled,
-            state: output.state,
-            event: output.event,
+            state,
+            event,
             attitude,
             missed_deadlines: watch::missed(),
         });
         // A line that finds the last one still being written is dropped: the next one comes.
-        if let Some(event) = output.event {
+        if let Some(event) = event {
             announce::spawn(News::Arming(event)).ok();
         }
 
