@@ -62,6 +62,21 @@ const _: () = assert!(option_env!("DEFMT_LOG").is_some(), ".cargo/config.toml se
 
 defmt::timestamp!("{=u32:us}", board::now_us());
 
+/// What this image is: the board's name, and the features that change what it does. The emulator and people with a
+/// debug probe read it by its symbol; it ends with a zero.
+#[unsafe(no_mangle)]
+#[used]
+static KESTREL_IMAGE: [u8; IMAGE_NAME.len()] = {
+    let mut bytes = [0; IMAGE_NAME.len()];
+    bytes.copy_from_slice(IMAGE_NAME.as_bytes());
+    bytes
+};
+const IMAGE_NAME: &str = match (cfg!(feature = "unwired"), cfg!(feature = "bench")) {
+    (false, false) => "speedybee-f405-v4\0",
+    (false, true) => "speedybee-f405-v4, bench\0",
+    (true, _) => "no sensors and no motors\0",
+};
+
 // | task       | woken by                     | prio | rate      | deadline       | has                           |
 // |------------|------------------------------|------|-----------|----------------|-------------------------------|
 // | (board's)  | EXTI4: data ready            | 5    | 1 kHz     | –              | the time, the burst           |

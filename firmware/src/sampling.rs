@@ -22,7 +22,7 @@ use crate::fault;
 use crate::tally::TALLY;
 
 /// A burst takes 13 µs. One that takes longer than this hangs, µs.
-const BURST_LIMIT_US: u32 = 100;
+const BURST_LIMIT_US: i32 = 100;
 /// So often the flight task may be woken without finishing a run; then it hangs, and the motors stop: 20 ms,
 /// long before the watchdog resets the board.
 const UNSERVED_LIMIT: u32 = 20;
@@ -116,23 +116,33 @@ impl FrameBuffer {
     }
 }
 
-/// What has become of a burst.
-pub enum Burst {
-    /// It has brought this.
-    Done(Frame),
-    /// It still runs.
-    Running,
+/// What the interrupt of a burst's end says.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Signal {
+    /// Nothing: the burst still runs, or there is none. The vector was pended by software.
+    Nothing,
+    /// The burst is done.
+    Done,
     /// The bus failed.
     Failed,
 }
 
 /// The bus on which bursts run.
+///
+/// The end of a burst raises the vector of `flight` as a level: it stays up until it is acknowledged, and a
+/// handler that returns before that is entered again at once, so that no task of a lower priority runs any more.
+/// Hence the order that [`Sampler::take`] keeps: first it acknowledges, whoever has woken it and whatever it
+/// then finds; only then it decides, by what was read.
 pub trait BurstBus {
-    /// What has become of the burst that was started. One that is done or has failed leaves the bus ready for
-    /// the next.
-    fn look(&mut self) -> Burst;
+    /// Reads what the interrupt says, and takes down exactly what was read: unless something happens after that,
+    /// the vector is not raised again. It touches neither the burst nor the frame.
+    fn acknowledge(&mut self) -> Signal;
 
-    /// Ends a burst that hangs, and makes the bus ready for the next.
+    /// The frame of a burst that is [`Signal::Done`]. The bus is ready for the next burst after that.
+    fn finish(&mut self) -> Frame;
+
+    /// Ends a burst that hangs or has failed, and makes the bus ready for the next. What the stopped burst would
+    /// still raise is taken down.
     fn abort(&mut self);
 }
 
@@ -162,24 +172,26 @@ impl<B: BurstBus> Sampler<B> {
     /// overdue.
     #[inline]
     pub fn take(&mut self, now_us: u32) -> Option<Sample> {
+        let signal = self.bus.acknowledge();
         let overdue = OVERDUE.load(Ordering::Acquire);
         if overdue {
             OVERDUE.store(false, Ordering::Relaxed);
         }
         if BURST.load(Ordering::Acquire) {
             let ready_us = READY_US.load(Ordering::Relaxed);
-            match self.bus.look() {
-                Burst::Done(frame) => return Some(self.end(ready_us, judge(&frame))),
-                Burst::Failed => {
-                    TALLY.unreadable.add();
-                    return Some(self.end(ready_us, None));
+            // Negative if the sample has become ready since this run began.
+            let running_us = now_us.wrapping_sub(ready_us) as i32;
+            match signal {
+                Signal::Done => {
+                    let frame = self.bus.finish();
+                    return Some(self.end(ready_us, judge(&frame)));
                 }
-                Burst::Running if now_us.wrapping_sub(ready_us) > BURST_LIMIT_US => {
+                Signal::Nothing if running_us <= BURST_LIMIT_US => {}
+                Signal::Nothing | Signal::Failed => {
                     self.bus.abort();
                     TALLY.unreadable.add();
                     return Some(self.end(ready_us, None));
                 }
-                Burst::Running => {}
             }
         }
         if !overdue {

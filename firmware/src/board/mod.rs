@@ -22,6 +22,20 @@
 //! also pends when 1.5 periods have passed since the last sample. A dead sensor thus ages in the flight
 //! controller, and does not stop it. The `tick` task is bound to SysTick, once a millisecond.
 //!
+//! # Acknowledging interrupts
+//! A peripheral's interrupt is a level: while its flag is set, a handler that returns is entered again, and no
+//! task of a lower priority runs. So every handler acknowledges its source before it does anything else, on every
+//! path, also when software alone has pended it; and it decides by what it read then.
+//!
+//! | vector | acknowledged by |
+//! |---|---|
+//! | DMA2_STREAM0 (`flight`) | [`BurstBus::acknowledge`](crate::sampling::BurstBus::acknowledge), first in `Sampler::take` |
+//! | EXTI4 | the line's bit in EXTI_PR, written first |
+//! | TIM5 | CC1IF, read and cleared first; it is the only one of TIM5's interrupts that is on |
+//! | USART2 (`receive`) | `Ear::hear` reads SR and then DR, which clears RXNE and ORE, the two that raise it |
+//! | SysTick (`tick`) | the processor, when it enters the handler |
+//! | CRYP, DCMI (dispatchers) | the same: the F405 has no such peripherals, and software alone pends them |
+//!
 //! A board's own interrupt handlers note what happened and when, and call [`crate::sampling`]. They have a higher
 //! priority than any other but `receive` ([`SENSE_PRIORITY`]), so that a time is not late because a task runs.
 

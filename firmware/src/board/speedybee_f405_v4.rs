@@ -231,15 +231,23 @@ impl DelayNs for Wait {
 /// Sets the deadline, and forgets that of the sample that has come.
 fn expect_sample_by(us: u32) {
     tim5().ccr1().write(|w| w.ccr().set(us));
+    acknowledge_deadline();
+}
+
+/// Whether the deadline has passed since this was last asked. Takes the interrupt down.
+fn acknowledge_deadline() -> bool {
+    let passed = tim5().sr().read().cc1if().bit_is_set();
+    // A zero takes a flag down; nobody uses the others.
     tim5().sr().write(|w| w.cc1if().clear_bit());
+    passed
 }
 
 /// The sensor has a sample.
 #[interrupt]
 fn EXTI4() {
-    let ready_us = now_us();
     // SAFETY: this register's bits are cleared by writing ones, so that nothing else is touched.
     unsafe { &*pac::EXTI::ptr() }.pr().write(|w| w.pr4().clear_bit_by_one());
+    let ready_us = now_us();
     expect_sample_by(ready_us.wrapping_add(OVERDUE_US));
     if sampling::ready(ready_us, burst::running()) {
         burst::start();
@@ -252,7 +260,7 @@ fn EXTI4() {
 #[interrupt]
 fn TIM5() {
     // The sample may have come while this waited for its turn.
-    if tim5().sr().read().cc1if().bit_is_clear() {
+    if !acknowledge_deadline() {
         return;
     }
     let overdue_us = now_us();

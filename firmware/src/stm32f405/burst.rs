@@ -5,26 +5,36 @@
 //! ```
 //! The end of reception is the end of the burst. Stream 0 raises DMA2_STREAM0 then, and after an error of its
 //! own; an error of the other stream shows as a burst that does not end.
+//!
+//! DMA2_STREAM0 is a level: it stays up as long as a flag of stream 0 is set whose interrupt is on, and only a
+//! write to LIFCR takes a flag down. [`BurstBus::acknowledge`] is that write.
 
 use core::sync::atomic::AtomicU8;
 
-use drivers::icm42688p::{BURST, FRAME_LEN};
+use drivers::icm42688p::{BURST, FRAME_LEN, Frame};
+use stm32f4xx_hal::dma::traits::{DMASet, Stream};
+use stm32f4xx_hal::dma::{MemoryToPeripheral, PeripheralToMemory, Stream0, Stream3};
+use stm32f4xx_hal::pac::dma2::st::cr;
 use stm32f4xx_hal::pac::{DMA2, GPIOA, SPI1, dma2, gpioa, spi1};
 use stm32f4xx_hal::rcc::{Enable, Rcc};
 
-use crate::sampling::{Burst, BurstBus, FrameBuffer};
+use crate::sampling::{BurstBus, FrameBuffer, Signal};
 
-/// Flags of streams 0 and 3 in the lower interrupt registers.
-const RX_DONE: u32 = 1 << 5;
-const RX_FAILED: u32 = 1 << 3;
-const ALL_FLAGS: u32 = 0x3d | 0x3d << 22;
+/// The streams. The flags of [`ImuBus::acknowledge`] and [`clear_flags`] are those of these two numbers.
+type Rx = Stream0<DMA2>;
+type Tx = Stream3<DMA2>;
+const CHANNEL: u8 = 3;
 
-/// Channel 3; very high priority; memory incremented; and a stream's direction and interrupts.
-const COMMON: u32 = 3 << 25 | 3 << 16 | 1 << 10;
-/// Transfer complete and transfer error interrupt; peripheral to memory; on.
-const RX: u32 = COMMON | 1 << 4 | 1 << 2 | 1;
-/// Memory to peripheral; on.
-const TX: u32 = COMMON | 1 << 6 | 1;
+/// Compiles only if the chip connects this peripheral to this stream and channel.
+const fn connected<PERIPHERAL, STREAM, const CHANNEL: u8, DIRECTION>()
+where
+    PERIPHERAL: DMASet<STREAM, CHANNEL, DIRECTION>,
+{
+}
+const _: () = {
+    connected::<SPI1, Rx, CHANNEL, PeripheralToMemory>();
+    connected::<SPI1, Tx, CHANNEL, MemoryToPeripheral>();
+};
 
 /// Looks at a stream that was told to stop: it finishes its byte first, a microsecond.
 const STOP_LOOKS: u32 = 200;
@@ -62,24 +72,33 @@ fn select(selected: bool) {
     }
 }
 
+/// Takes down the flags of both streams: those of the last burst, and those that a stopped stream sets.
+fn clear_flags() {
+    dma().lifcr().write(|w| {
+        w.ctcif0().clear().chtif0().clear().cteif0().clear().cdmeif0().clear().cfeif0().clear();
+        w.ctcif3().clear().chtif3().clear().cteif3().clear().cdmeif3().clear().cfeif3().clear()
+    });
+}
+
+/// What both streams have: bytes, from or to a buffer, before anything else on DMA2; on.
+fn both(w: &mut cr::W) -> &mut cr::W {
+    w.chsel().set(CHANNEL).pl().very_high().minc().incremented().en().enabled()
+}
+
 /// Starts a burst. For the data-ready interrupt, when no burst runs.
 pub fn start() {
     select(true);
-    let (rx, tx) = (dma().st(0), dma().st(3));
-    // SAFETY: the register ignores zeros.
-    dma().lifcr().write(|w| unsafe { w.bits(ALL_FLAGS) });
+    let (rx, tx) = (dma().st(Rx::NUMBER), dma().st(Tx::NUMBER));
+    clear_flags();
     rx.ndtr().write(|w| w.ndt().set(FRAME_LEN as u16));
     tx.ndtr().write(|w| w.ndt().set(FRAME_LEN as u16));
-    // SAFETY: the streams' fields; where they point was set in `new`.
-    unsafe {
-        rx.cr().write(|w| w.bits(RX));
-        tx.cr().write(|w| w.bits(TX));
-    }
+    rx.cr().write(|w| both(w).dir().peripheral_to_memory().tcie().enabled().teie().enabled());
+    tx.cr().write(|w| both(w).dir().memory_to_peripheral());
 }
 
 /// Whether a burst runs.
 pub fn running() -> bool {
-    dma().st(0).cr().read().en().bit_is_set()
+    dma().st(Rx::NUMBER).cr().read().en().bit_is_set()
 }
 
 /// The bus, handed over by the sensor's driver (`None` if it has not found the sensor) for good.
@@ -91,7 +110,7 @@ impl<SPI> ImuBus<SPI> {
     /// Prepares the streams.
     pub fn new(spi_device: Option<SPI>, dma2: DMA2, rcc: &mut Rcc) -> Self {
         DMA2::enable(rcc);
-        let (rx, tx) = (dma2.st(0), dma2.st(3));
+        let (rx, tx) = (dma2.st(Rx::NUMBER), dma2.st(Tx::NUMBER));
         let data = spi().dr().as_ptr() as u32;
         // SAFETY: a register, and two statics.
         unsafe {
@@ -107,22 +126,32 @@ impl<SPI> ImuBus<SPI> {
 
 impl<SPI> BurstBus for ImuBus<SPI> {
     #[inline]
-    fn look(&mut self) -> Burst {
-        let flags = dma().lisr().read().bits();
-        if flags & RX_FAILED != 0 {
-            self.abort();
-            return Burst::Failed;
+    fn acknowledge(&mut self) -> Signal {
+        let flags = dma().lisr().read();
+        // A flag that rises after the read stays, and raises the interrupt again.
+        dma().lifcr().write(|w| {
+            w.ctcif0().bit(flags.tcif0().is_complete()).chtif0().bit(flags.htif0().is_half());
+            w.cteif0().bit(flags.teif0().is_error()).cdmeif0().bit(flags.dmeif0().is_error());
+            w.cfeif0().bit(flags.feif0().is_error())
+        });
+        if flags.teif0().is_error() {
+            Signal::Failed
+        } else if flags.tcif0().is_complete() {
+            Signal::Done
+        } else {
+            Signal::Nothing
         }
-        if flags & RX_DONE == 0 {
-            return Burst::Running;
-        }
+    }
+
+    #[inline]
+    fn finish(&mut self) -> Frame {
         select(false);
-        Burst::Done(RECEIVED.read())
+        RECEIVED.read()
     }
 
     #[cold]
     fn abort(&mut self) {
-        for stream in [0, 3] {
+        for stream in [Rx::NUMBER, Tx::NUMBER] {
             let stream = dma().st(stream);
             stream.cr().modify(|_, w| w.en().clear_bit());
             for _ in 0..STOP_LOOKS {
@@ -138,7 +167,6 @@ impl<SPI> BurstBus for ImuBus<SPI> {
         spi().sr().read();
         spi().cr1().modify(|_, w| w.spe().set_bit());
         // A stream that is stopped says that it is done.
-        // SAFETY: the register ignores zeros.
-        dma().lifcr().write(|w| unsafe { w.bits(ALL_FLAGS) });
+        clear_flags();
     }
 }

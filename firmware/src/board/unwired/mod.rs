@@ -27,14 +27,14 @@
 use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 
 use cortex_m::peripheral::SCB;
-use drivers::icm42688p::FRAME_LEN;
+use drivers::icm42688p::{FRAME_LEN, Frame};
 use flight_core::arming::MotorPermit;
 use flight_core::esc::protocol::{Protocol, STOP_US};
 use flight_core::sample::ImuSample;
 use stm32f4xx_hal::pac::{self, TIM3, TIM5};
 
 use super::Board;
-use crate::sampling::{self, Burst, BurstBus, FrameBuffer};
+use crate::sampling::{self, BurstBus, FrameBuffer, Signal};
 use crate::stm32f405::esc::Lines;
 
 #[cfg_attr(feature = "qemu", path = "emulated.rs")]
@@ -125,9 +125,15 @@ fn play(sample: ImuSample) {
 pub struct Frames;
 
 impl BurstBus for Frames {
+    /// Software pends the vector here, and so nothing stays up: the frame is there before the vector is pended.
     #[inline]
-    fn look(&mut self) -> Burst {
-        Burst::Done(FRAME.read())
+    fn acknowledge(&mut self) -> Signal {
+        Signal::Done
+    }
+
+    #[inline]
+    fn finish(&mut self) -> Frame {
+        FRAME.read()
     }
 
     fn abort(&mut self) {}
