@@ -26,6 +26,9 @@
 //! The tasks below are the same in flight, on a desk and on QEMU; what differs lies in [`board`]. With the feature
 //! `bench` the outputs are never driven, and every sample is logged.
 //!
+//! # The last step
+//! Each step's input and outcome stand in RAM at the symbol `FLIGHT_RECORD`, for a debug probe ([`recorder`]).
+//!
 //! `docs/timing.md` has each task's worst time and what follows from it.
 #![no_std]
 #![no_main]
@@ -43,6 +46,7 @@ mod imu;
 mod inbox;
 #[cfg(not(feature = "unwired"))]
 mod pilot;
+mod recorder;
 mod sampling;
 mod stm32f405;
 mod tally;
@@ -58,6 +62,21 @@ use panic_semihosting as _;
 const _: () = assert!(option_env!("DEFMT_LOG").is_some(), ".cargo/config.toml sets DEFMT_LOG");
 
 defmt::timestamp!("{=u32:us}", board::now_us());
+
+/// What this image is: the board's name, and the features that change what it does. The emulator and people with a
+/// debug probe read it by its symbol; it ends with a zero.
+#[unsafe(no_mangle)]
+#[used]
+static KESTREL_IMAGE: [u8; IMAGE_NAME.len()] = {
+    let mut bytes = [0; IMAGE_NAME.len()];
+    bytes.copy_from_slice(IMAGE_NAME.as_bytes());
+    bytes
+};
+const IMAGE_NAME: &str = match (cfg!(feature = "unwired"), cfg!(feature = "bench")) {
+    (false, false) => "speedybee-f405-v4\0",
+    (false, true) => "speedybee-f405-v4, bench\0",
+    (true, _) => "no sensors and no motors\0",
+};
 
 // | task       | woken by                     | prio | rate      | deadline       | has                           |
 // |------------|------------------------------|------|-----------|----------------|-------------------------------|
@@ -81,6 +100,7 @@ defmt::timestamp!("{=u32:us}", board::now_us());
 #[rtic::app(device = stm32f4xx_hal::pac, peripherals = true, dispatchers = [CRYP, DCMI])]
 mod app {
     use flight_core::arming::Event;
+    use flight_core::record::Outcome;
     use flight_core::sample::Health;
     use flight_core::watchdog::Deadline;
     use flight_core::{FlightController, Input};
@@ -89,9 +109,9 @@ mod app {
         self, Board, Compass, Ear, Imu, Monitor, Outputs, Radio, Sampler, Step, Supply, Watchdog,
     };
     use crate::inbox::Inbox;
-    use crate::sampling;
     use crate::tally::TALLY;
     use crate::watch::{self, COMPASS_TICKS, HEALTH_TICKS, SUPPLY_TICKS, Task, Watch};
+    use crate::{recorder, sampling};
 
     /// The outputs are locked, because people are about.
     const BENCH: bool = cfg!(feature = "bench");
@@ -197,7 +217,7 @@ mod app {
         let Some(sample) = sampler.take(board::now_us()) else { return };
 
         let Inbox { rc, mag, battery } = inbox.lock(core::mem::take);
-        let output = controller.step(&Input {
+        let input = Input {
             time_us: sample.time_us,
             imu: sample.imu,
             mag,
@@ -210,26 +230,35 @@ mod app {
                 watchdog_reset: *watchdog_reset,
                 missed_deadlines: watch::missed(),
             },
-        });
-        match output.permit {
-            Some(permit) if !BENCH => outputs.drive(permit, output.pulses_us),
-            _ => outputs.stop(),
-        }
+        };
+        let output = controller.step(&input);
+        let driven = match output.permit {
+            Some(permit) if !BENCH => {
+                outputs.drive(permit, output.pulses_us);
+                true
+            }
+            _ => {
+                outputs.stop();
+                false
+            }
+        };
 
         #[cfg(feature = "bench")]
         stream::spawn(sample.time_us, sample.imu, mag).ok();
         let attitude = controller.attitude();
+        let (pulses_us, state, event) = (output.pulses_us, output.state, output.event);
+        recorder::write(&input, &Outcome { driven, pulses_us, state, event, attitude });
         let sampled = sample.imu.is_some();
         monitor.show(&Step {
             time_us: sample.time_us,
             sampled,
-            state: output.state,
-            event: output.event,
+            state,
+            event,
             attitude,
             missed_deadlines: watch::missed(),
         });
         // A line that finds the last one still being written is dropped: the next one comes.
-        if let Some(event) = output.event {
+        if let Some(event) = event {
             announce::spawn(News::Arming(event)).ok();
         }
 

@@ -18,6 +18,7 @@
 
 mod autopilot;
 mod log;
+pub mod summary;
 
 use std::convert::Infallible;
 
@@ -182,17 +183,24 @@ impl Outcome {
     }
 }
 
-/// A flight under way.
+/// A flight under way: the world, and who flies in it.
 pub struct Flight<A = FlightController> {
+    world: World,
+    autopilot: A,
+    steps: u64,
+}
+
+/// Everything but the flight controller: vehicle, sensors, pilot, radio link and the judge.
+///
+/// A step is [`World::sense`], then whatever the flight controller makes of it, then [`World::act`].
+pub struct World {
     vehicle: Vehicle,
     sensors: Sensors,
     pilot: Option<Pilot>,
     link: Vec<BoxedDelivery<RcFrame>>,
-    autopilot: A,
     state: ArmState,
     max_rotor_rad_s: f64,
     aerobatic: bool,
-    steps: u64,
     time_us: u64,
     next_mag_us: u64,
     next_rc_us: u64,
@@ -229,6 +237,37 @@ impl<A: Autopilot<Error = Infallible>> Flight<A> {
 impl<A: Autopilot> Flight<A> {
     /// The start of a flight of this scene with this seed, flown by this autopilot.
     pub fn flown_by(autopilot: A, scene: &Scene, seed: u64) -> Self {
+        Self { world: World::new(scene, seed), autopilot, steps: steps_of(scene) }
+    }
+
+    /// Flies to the end, to the crash, or until the autopilot fails; then with the outcome up to there.
+    pub fn fly(mut self, observer: &mut impl Observer) -> (Outcome, Result<(), A::Error>) {
+        for step in 0..self.steps {
+            match self.step(observer) {
+                Ok(None) => {}
+                Ok(Some(crash)) => return (self.world.outcome(step + 1, Some(crash)), Ok(())),
+                Err(error) => return (self.world.outcome(step, None), Err(error)),
+            }
+        }
+        (self.world.outcome(self.steps, None), Ok(()))
+    }
+
+    #[inline(always)]
+    fn step(&mut self, observer: &mut impl Observer) -> Result<Option<(Crash, f64)>, A::Error> {
+        let input = self.world.sense();
+        let answer = self.autopilot.step(&input)?;
+        Ok(self.world.act(&input, &answer, observer))
+    }
+}
+
+/// How many steps a flight of this scene takes.
+pub fn steps_of(scene: &Scene) -> u64 {
+    (scene.duration_s * f64::from(DEFAULT_RATE_HZ)).round() as u64
+}
+
+impl World {
+    /// The world of this scene with this seed, before its first step.
+    pub fn new(scene: &Scene, seed: u64) -> Self {
         let step_s = STEP_US as f64 * 1e-6;
         let rate_hz = f64::from(DEFAULT_RATE_HZ);
         let knowledge = scene.pilot_knowledge();
@@ -241,11 +280,9 @@ impl<A: Autopilot> Flight<A> {
             sensors: scene.sensors(seed, rate_hz, f64::from(MAG_RATE_HZ)),
             pilot,
             link: scene.link(seed, rate_hz).into_iter().map(|(_, effect)| effect).collect(),
-            autopilot,
             state: ArmState::default(),
             max_rotor_rad_s: scene.vehicle.max_rad_s,
             aerobatic: scene.aerobatic,
-            steps: (scene.duration_s * rate_hz).round() as u64,
             time_us: 0,
             next_mag_us: 0,
             next_rc_us: 0,
@@ -255,48 +292,48 @@ impl<A: Autopilot> Flight<A> {
         }
     }
 
-    /// Flies to the end, to the crash, or until the autopilot fails; then with the outcome up to there.
-    pub fn fly(mut self, observer: &mut impl Observer) -> (Outcome, Result<(), A::Error>) {
-        for step in 0..self.steps {
-            match self.step(observer) {
-                Ok(None) => {}
-                Ok(Some(crash)) => {
-                    let at_s = self.time_us as f64 * 1e-6;
-                    return (self.outcome(step + 1, Some((crash, at_s))), Ok(()));
-                }
-                Err(error) => return (self.outcome(step, None), Err(error)),
-            }
-        }
-        (self.outcome(self.steps, None), Ok(()))
+    /// Time of the present step, µs.
+    pub fn time_us(&self) -> u64 {
+        self.time_us
     }
 
+    /// The vehicle's true state.
+    pub fn truth(&self) -> &State {
+        self.vehicle.state()
+    }
+
+    /// What the flight controller made of `input`: the vehicle moves on by a step. Returns why and when the flight
+    /// counts as crashed (s), if it does.
     #[inline(always)]
-    fn step(&mut self, observer: &mut impl Observer) -> Result<Option<Crash>, A::Error> {
-        let input = self.sense();
-        let output = self.autopilot.step(&input)?;
+    pub fn act(
+        &mut self,
+        input: &Input,
+        output: &Answer,
+        observer: &mut impl Observer,
+    ) -> Option<(Crash, f64)> {
         self.state = output.state;
         let estimate = to_f64(output.attitude);
-        self.judge.take(self.vehicle.state(), estimate, &output);
+        self.judge.take(self.vehicle.state(), estimate, output);
         observer.step(&StepView {
             time_us: self.time_us,
             truth: self.vehicle.state(),
             moment: self.vehicle.moment(),
             target_m: self.pilot.as_ref().map(|pilot| pilot.target_m(self.time_us as f64 * 1e-6)),
             rotors_rad_s: self.vehicle.rotors(),
-            input: &input,
-            output: &output,
+            input,
+            output,
             estimate,
         });
-        let wanted = self.esc(&output);
+        let wanted = self.esc(output);
         self.vehicle.command(wanted);
         self.vehicle.advance();
         self.time_us += STEP_US;
-        Ok(self.crash())
+        self.crash().map(|crash| (crash, self.time_us as f64 * 1e-6))
     }
 
     /// What arrives at the flight controller at this time.
     #[inline(always)]
-    fn sense(&mut self) -> Input {
+    pub fn sense(&mut self) -> Input {
         let imu = if OPTIONAL && !self.sensors.imu_is_perfect() {
             self.sensors.imu(&self.vehicle.moment())
         } else {
@@ -373,7 +410,8 @@ impl<A: Autopilot> Flight<A> {
         (astray > MAX_ASTRAY_M).then_some(Crash::FlownAway)
     }
 
-    fn outcome(&self, control_steps: u64, crash: Option<(Crash, f64)>) -> Outcome {
+    /// How the flight went, after so many steps.
+    pub fn outcome(&self, control_steps: u64, crash: Option<(Crash, f64)>) -> Outcome {
         let judge = &self.judge;
         // Without a step, which is a flight whose autopilot failed at once, there is no error either.
         let none = AttitudeError { total_rad: 0.0, heading_rad: 0.0, inclination_rad: 0.0 };

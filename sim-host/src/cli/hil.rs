@@ -5,14 +5,14 @@ use std::path::Path;
 use std::time::Instant;
 
 use serde_json::{Value, json};
-use sim_host::flight::FlightLog;
+use sim_host::flight::{FlightLog, summary};
 use sim_host::hil::{self, Account, Faults, Flown, LinkError, Received, Report, Serial, Wire};
 use sim_host::input_error::InputError;
 use sim_host::report::{self, Recorder};
 use sim_host::scene::Scene;
 
 use super::progress::FlightProgress;
-use super::{Answer, HilArguments, fly, interrupt, load};
+use super::{Answer, HilArguments, interrupt, load};
 
 pub fn run(arguments: &HilArguments) -> Result<Answer, InputError> {
     let scene = load(&arguments.scene, arguments.seed, arguments.duration)?;
@@ -87,13 +87,13 @@ fn answer(scene: &Scene, firmware: &Path, flown: &Flown, wall_s: f64, account: O
     let complaint = complaint(flown, account);
     let verdict = match (ended, &complaint) {
         (Err(_), Some(why)) => format!("BROKEN OFF at {:.3} s: {why}", outcome.flown_s()),
-        (Ok(()), Some(why)) => format!("{}, BUT {why}", fly::verdict(outcome)),
-        _ => fly::verdict(outcome),
+        (Ok(()), Some(why)) => format!("{}, BUT {why}", summary::verdict(outcome)),
+        _ => summary::verdict(outcome),
     };
     let unmodelled = account.map(|account| &account.unmodelled[..]);
     let last_words = account.filter(|_| complaint.is_some()).map_or(&[][..], |account| &account.last_words);
 
-    let mut text = fly::describe(scene, outcome, &verdict, wall_s);
+    let mut text = summary::describe(scene, outcome, &verdict, wall_s);
     write!(
         text,
         "\n\n  \
@@ -126,7 +126,7 @@ fn answer(scene: &Scene, firmware: &Path, flown: &Flown, wall_s: f64, account: O
         last_words.iter().for_each(|line| write!(text, "\n    {line}").expect(TAKES_ALL));
     }
 
-    let mut json = fly::to_json(scene, scene.seed, outcome, wall_s);
+    let mut json = summary::to_json(scene, scene.seed, outcome, wall_s);
     let further = json!({
         "firmware": firmware.display().to_string(),
         "ended_by": complaint,

@@ -1,0 +1,64 @@
+//! How a flight went, for people and for programs.
+
+use serde_json::{Value, json};
+
+use super::Outcome;
+use crate::campaign::{drawn_json, outcome_json};
+use crate::scene::Scene;
+
+/// An outcome for programs.
+pub fn to_json(scene: &Scene, seed: u64, outcome: &Outcome, wall_s: f64) -> Value {
+    let mut json = outcome_json(outcome);
+    let drawn = scene.of_run(seed).1;
+    let further = json!({
+        "scene": scene.name,
+        "seed": seed,
+        "duration_s": scene.duration_s,
+        "wall_s": wall_s,
+        "steps_per_s": outcome.control_steps as f64 / wall_s,
+        "real_time_factor": outcome.flown_s() / wall_s,
+    });
+    if let (Value::Object(json), Value::Object(further)) = (&mut json, further) {
+        json.extend(further);
+        if !drawn.is_empty() {
+            json.insert("drawn".into(), drawn_json(&drawn));
+        }
+    }
+    json
+}
+
+/// How a flight ended.
+pub fn verdict(outcome: &Outcome) -> String {
+    match outcome.crash {
+        None => "flown to the end".into(),
+        Some((crash, at_s)) => format!("CRASHED at {at_s:.3} s: {}", crash.text()),
+    }
+}
+
+/// An outcome for people.
+pub fn describe(scene: &Scene, outcome: &Outcome, verdict: &str, wall_s: f64) -> String {
+    format!(
+        "{name} (seed {seed}): {verdict}, {state:?}\n\
+         {description}\n\n  \
+         estimate against truth   {rmse:.3}° RMSE (heading {heading:.3}°, inclination {inclination:.3}°)\n  \
+         worst tilt error         {tilt_error:.3}°\n  \
+         worst tilt               {tilt:.2}°\n  \
+         worst distance           {distance:.3} m from the pilot's target\n  \
+         speed                    {flown:.1} s in {wall_s:.3} s: {factor:.0} × real time, {rate:.2} million steps a second\n  \
+         digest                   {digest:016x}",
+        name = scene.name,
+        seed = scene.seed,
+        state = outcome.final_state,
+        description = scene.description,
+        rmse = outcome.attitude_rmse_deg,
+        heading = outcome.heading_rmse_deg,
+        inclination = outcome.inclination_rmse_deg,
+        tilt_error = outcome.tilt_error_max_deg,
+        tilt = outcome.tilt_max_deg,
+        distance = outcome.position_error_max_m,
+        flown = outcome.flown_s(),
+        factor = outcome.flown_s() / wall_s,
+        rate = outcome.control_steps as f64 / wall_s * 1e-6,
+        digest = outcome.digest,
+    )
+}
