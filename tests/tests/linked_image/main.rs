@@ -57,7 +57,7 @@ const FAST_LOOP: [&str; 3] = ["DMA2_STREAM0", "EXTI4", "TIM5"];
 /// board's own interrupts: `SENSE_PRIORITY` in `firmware/src/board/mod.rs`.
 const HANDLERS: [(&str, u8); 7] = [
     ("CRYP", 1),         // compass
-    ("DCMI", 2),         // supply, health, announce
+    ("DCMI", 2),         // supply, imu, health, announce
     ("SysTick", 3),      // tick
     ("DMA2_STREAM0", 4), // flight
     ("EXTI4", 5),        // data ready
