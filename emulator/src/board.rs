@@ -284,7 +284,11 @@ impl Machine {
         let output = field(Register::Moder) == 1;
         let analog = field(Register::Moder) == 3;
         let pulled = field(Register::Pupdr) != 0 && !analog;
-        if driven || output || pulled { gpio.level(pin_of(pad.wire), registers).into() } else { Line::Floating }
+        if driven || output || pulled {
+            gpio.level(pin_of(pad.wire), registers).into()
+        } else {
+            Line::Floating
+        }
     }
 
     /// Changes at the pads since this was last asked.

@@ -36,12 +36,14 @@ impl Firmware {
     /// # Errors
     /// No sources, no cargo, or an image that does not build.
     pub fn build() -> Result<Self, InputError> {
-        let refused = |what: String| InputError::new(format!("{what}: name an image by --image ELF")).file("firmware");
+        let refused =
+            |what: String| InputError::new(format!("{what}: name an image by --image ELF")).file("firmware");
         let workspace = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
         if !workspace.join("firmware/Cargo.toml").exists() {
             return Err(refused(format!("the sources are not in {}", workspace.display())));
         }
-        let targets = std::env::var_os("CARGO_TARGET_DIR").map_or_else(|| workspace.join("target"), PathBuf::from);
+        let targets =
+            std::env::var_os("CARGO_TARGET_DIR").map_or_else(|| workspace.join("target"), PathBuf::from);
         let target = std::path::absolute(targets.join("flash-image"))
             .map_err(|error| refused(format!("no target directory: {error}")))?;
         let mut cargo = Command::new(std::env::var_os("CARGO").as_deref().unwrap_or(OsStr::new("cargo")));
@@ -78,9 +80,13 @@ impl Firmware {
     /// It is no flight image for the STM32F405.
     pub fn parse(path: &Path, elf: Vec<u8>) -> Result<Self, InputError> {
         let refused = |why: String| refused(path, why);
-        let file = object::File::parse(&*elf).map_err(|error| refused(format!("must be an ELF image: {error}")))?;
+        let file =
+            object::File::parse(&*elf).map_err(|error| refused(format!("must be an ELF image: {error}")))?;
         if file.architecture() != Architecture::Arm {
-            return Err(refused(format!("must be an image for Arm; it is one for {:?}", file.architecture())));
+            return Err(refused(format!(
+                "must be an image for Arm; it is one for {:?}",
+                file.architecture()
+            )));
         }
         let mut hash = Sha256::new();
         let mut vector_table = None;
@@ -125,12 +131,18 @@ impl Firmware {
     /// Whether it is the flight image: one whose name in its flash is that of a board, without "bench".
     fn check_kind(&self) -> Result<(), InputError> {
         let Some(kind) = self.text_at("KESTREL_IMAGE") else {
-            return Err(refused(&self.path, "must be an image of Kestrel's firmware, with its symbols".into()));
+            return Err(refused(
+                &self.path,
+                "must be an image of Kestrel's firmware, with its symbols".into(),
+            ));
         };
         if kind != crate::board::SPEEDYBEE_F405_V4.name {
             return Err(refused(
                 &self.path,
-                format!("must be the flight image of {}; it is that of {kind}", crate::board::SPEEDYBEE_F405_V4.name),
+                format!(
+                    "must be the flight image of {}; it is that of {kind}",
+                    crate::board::SPEEDYBEE_F405_V4.name
+                ),
             ));
         }
         for symbol in ["FLIGHT_RECORD", "_SEGGER_RTT"] {

@@ -39,7 +39,7 @@ use crate::vectors::Vectors;
 const STEP_NS: u64 = 1_000_000;
 
 /// How often the firmware's log is fetched, steps: its buffer of 4 KiB takes a second at least.
-const LOG_STEPS: u64 = 997;
+const LOG_STEPS: u64 = 100;
 
 /// What is to be flown, and how.
 pub struct Settings<'a> {
@@ -151,7 +151,8 @@ pub fn fly<O: Observer + Send + 'static>(
     let (session, pilot) = (finished.session, finished.driver);
     let stop = finished.stop;
     let resets = session.resets();
-    let resets = resets.iter().map(|reset| (reset.at.0 as f64 * 1e-9, format!("{:?}", reset.cause))).collect();
+    let resets =
+        resets.iter().map(|reset| (reset.at.0 as f64 * 1e-9, format!("{:?}", reset.cause))).collect();
     let Pilot { world, observer, flown, end, .. } = pilot;
     let (crash, broken_off) = match end {
         Some(End::Crashed(crash, at_s)) => (Some((crash, at_s)), None),
@@ -178,9 +179,13 @@ pub fn fly<O: Observer + Send + 'static>(
     Ok((flight, observer))
 }
 
-/// TODO
-fn configuration(_: &Config) -> Result<Image, InputError> {
-    Image::new(Path::new("c"), vec![0xff], Some(crate::firmware::CONFIGURATION)).map_err(|error| InputError::new(error.to_string()))
+/// The configuration sector with this configuration in it.
+fn configuration(config: &Config) -> Result<Image, InputError> {
+    let mut bytes = [0; stored_config::MAX_RECORD];
+    let record = stored_config::encode(config, &mut bytes)
+        .map_err(|error| InputError::new(format!("the configuration can't be stored: {error}")))?;
+    Image::new(Path::new("configuration"), record.to_vec(), Some(crate::firmware::CONFIGURATION))
+        .map_err(|error| InputError::new(error.to_string()))
 }
 
 enum End {
@@ -230,7 +235,8 @@ impl<O: Observer + Send> Pilot<O> {
 
     /// A step has been recorded, or begins to be.
     fn take_record(&mut self, host: &mut dyn Host) {
-        let read = |host: &mut dyn Host, n: u64| host.read(self.record_at + 4 * n, Width::W32).unwrap_or(0) as u32;
+        let read =
+            |host: &mut dyn Host, n: u64| host.read(self.record_at + 4 * n, Width::W32).unwrap_or(0) as u32;
         if !read(host, 0).is_multiple_of(2) {
             return;
         }

@@ -187,7 +187,8 @@ fn describe(
         flown.resets.len(),
         flown.missed_deadlines,
         flown.instructions,
-        flown.instructions as f64 / (flown.outcome.flown_s() * emulator::board::INSTRUCTIONS_PER_SECOND as f64)
+        flown.instructions as f64
+            / (flown.outcome.flown_s() * emulator::board::INSTRUCTIONS_PER_SECOND as f64)
             * 100.0,
         timing.entries[0],
         timing.entries[1],

@@ -149,8 +149,7 @@ impl Esc {
             6_400..=7_000 => Protocol::DShot150,
             _ => return None,
         };
-        let word =
-            bits.iter().fold(0_u16, |word, (_, width)| word << 1 | u16::from(2 * width > bit_ns));
+        let word = bits.iter().fold(0_u16, |word, (_, width)| word << 1 | u16::from(2 * width > bit_ns));
         let value = word >> 4;
         if (value ^ value >> 4 ^ value >> 8) & 0xf != word & 0xf {
             return None;

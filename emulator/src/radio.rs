@@ -188,8 +188,7 @@ mod tests {
         {
             let mut receiver = receiver::Receiver::new(theirs);
             let bytes = protocol.frame(&rc, &map).expect("a live link sends");
-            let frames: Vec<_> =
-                bytes.into_iter().filter_map(|byte| receiver.push(byte, 10_000)).collect();
+            let frames: Vec<_> = bytes.into_iter().filter_map(|byte| receiver.push(byte, 10_000)).collect();
             assert_eq!(frames.len(), 1, "{protocol:?}");
             assert_eq!(frames[0].to_rc(&map), rc, "{protocol:?}");
         }

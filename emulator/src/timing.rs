@@ -62,7 +62,8 @@ impl Timing {
 
     /// A handler is entered.
     pub fn entered(&mut self, number: Option<u16>, now_ns: u64) {
-        let Some(at) = number.and_then(|number| [10, 38, 50, 56].iter().position(|&known| known == number)) else {
+        let Some(at) = number.and_then(|number| [10, 38, 50, 56].iter().position(|&known| known == number))
+        else {
             return;
         };
         self.entries[at] += 1;

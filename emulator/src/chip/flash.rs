@@ -101,12 +101,7 @@ impl Device for FlashArray {
         }
     }
 
-    fn on_event(
-        &mut self,
-        event: EventId,
-        registers: &mut RegisterFile,
-        context: &mut DeviceContext<'_>,
-    ) {
+    fn on_event(&mut self, event: EventId, registers: &mut RegisterFile, context: &mut DeviceContext<'_>) {
         if self.stored == Some(event) {
             self.stored = None;
             registers.set(Register::Sr, sr::BSY.set(registers.get(Register::Sr), 0));

@@ -38,12 +38,7 @@ impl Device for I2c {
         }
     }
 
-    fn on_event(
-        &mut self,
-        event: EventId,
-        registers: &mut RegisterFile,
-        context: &mut DeviceContext<'_>,
-    ) {
+    fn on_event(&mut self, event: EventId, registers: &mut RegisterFile, context: &mut DeviceContext<'_>) {
         if !self.held_low {
             self.interface.on_event(event, registers, context);
         }

@@ -72,9 +72,8 @@ static MEMORY: [Region; 5] = [
 ];
 
 /// What the STM32F427 has and the F405 lacks (RM0090, table 1).
-const ABSENT: [&str; 12] = [
-    "UART7", "UART8", "SPI4", "SPI5", "SPI6", "SAI1", "GPIOJ", "GPIOK", "DMA2D", "CRYP", "HASH", "FMC",
-];
+const ABSENT: [&str; 12] =
+    ["UART7", "UART8", "SPI4", "SPI5", "SPI6", "SAI1", "GPIOJ", "GPIOK", "DMA2D", "CRYP", "HASH", "FMC"];
 
 /// The ports, in the order of [`Stm32f405::gpio`].
 pub const PORTS: [&str; 9] =
@@ -261,14 +260,15 @@ fn assemble() -> Result<Bus, Error> {
             Field::I2c(_) => builder = builder.write_modify(name, "SR1", WriteModify::ZeroToClear),
             // 18.4.5: flags are cleared by writing zero; 18.4.12: the period is all ones.
             Field::Tim(n) => {
-                builder = builder
-                    .write_modify(name, "SR", WriteModify::ZeroToClear)
-                    .reset(name, "ARR", TIMERS[n].counter.mask());
+                builder = builder.write_modify(name, "SR", WriteModify::ZeroToClear).reset(
+                    name,
+                    "ARR",
+                    TIMERS[n].counter.mask(),
+                );
             }
             Field::Advanced(_) => {
-                builder = builder
-                    .write_modify(name, "SR", WriteModify::ZeroToClear)
-                    .reset(name, "ARR", 0xffff);
+                builder =
+                    builder.write_modify(name, "SR", WriteModify::ZeroToClear).reset(name, "ARR", 0xffff);
             }
             Field::Gpio(n) => {
                 // 8.4.1, 8.4.3, 8.4.4: ports A and B start with the debug port's pins.
@@ -351,7 +351,10 @@ impl Stm32f405 {
             gpio: std::array::from_fn(|_| Gpio::default()),
             spi: std::array::from_fn(|_| Spi::with_clock(RESET_HZ)),
             usart: std::array::from_fn(|n| Usart::with_clock(SERIAL_PORTS[n].kind, RESET_HZ)),
-            i2c: std::array::from_fn(|_| I2c { interface: I2cInterface::with_clock(RESET_HZ), held_low: false }),
+            i2c: std::array::from_fn(|_| I2c {
+                interface: I2cInterface::with_clock(RESET_HZ),
+                held_low: false,
+            }),
             flash: FlashArray::new(Flash::with_clock(RESET_HZ)),
             adc: std::array::from_fn(|_| Adc::with_clock(RESET_HZ / 2)),
             adc_common,
@@ -487,7 +490,8 @@ impl Mcu for Stm32f405 {
         let flags = get(self.slots.rcc).get(rcc_registers::Register::Csr);
         let backup_clock = get(self.slots.rcc).get(rcc_registers::Register::Bdcr);
         let regulator = get(self.slots.pwr).get(pwr::Register::Csr);
-        let calendar = rtc_registers::Register::ALL.map(|register| (register, get(self.slots.rtc).get(register)));
+        let calendar =
+            rtc_registers::Register::ALL.map(|register| (register, get(self.slots.rtc).get(register)));
         let debug = [dbg::Register::DbgmcuCr, dbg::Register::DbgmcuApb1Fz, dbg::Register::DbgmcuApb2Fz]
             .map(|register| (register, get(self.slots.dbg).get(register)));
         let options = self.flash.interface.committed_options();

@@ -88,12 +88,7 @@ impl Device for Timer {
         self.inner.write(register, value, registers, context);
     }
 
-    fn on_event(
-        &mut self,
-        event: EventId,
-        registers: &mut RegisterFile,
-        context: &mut DeviceContext<'_>,
-    ) {
+    fn on_event(&mut self, event: EventId, registers: &mut RegisterFile, context: &mut DeviceContext<'_>) {
         self.quiet_events = if self.is_quiet(registers) { self.quiet_events + 1 } else { 0 };
         if self.quiet_events < QUIET_EVENTS {
             self.touched = true;
