@@ -70,7 +70,8 @@ impl Active {
     pub fn new(firmware: &Firmware) -> Self {
         let symbols = firmware.demangled();
         let find = move |part: &str| {
-            symbols.iter().find(|(name, _)| name.contains(part)).map(|(_, address)| *address)
+            let is = symbols.iter().find(|(name, _)| name == part);
+            is.or_else(|| symbols.iter().find(|(name, _)| name.contains(part))).map(|(_, address)| *address)
         };
         Self {
             compass_absent: false,

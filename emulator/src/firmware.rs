@@ -36,6 +36,14 @@ impl Firmware {
     /// # Errors
     /// No sources, no cargo, or an image that does not build.
     pub fn build() -> Result<Self, InputError> {
+        Self::build_with_esc(None)
+    }
+
+    /// Builds it for another ESC protocol: what `KESTREL_ESC` is at build time (docs/hardware.md).
+    ///
+    /// # Errors
+    /// As [`Self::build`].
+    pub fn build_with_esc(esc: Option<&str>) -> Result<Self, InputError> {
         let refused =
             |what: String| InputError::new(format!("{what}: name an image by --image ELF")).file("firmware");
         let workspace = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
@@ -44,7 +52,7 @@ impl Firmware {
         }
         let targets =
             std::env::var_os("CARGO_TARGET_DIR").map_or_else(|| workspace.join("target"), PathBuf::from);
-        let target = std::path::absolute(targets.join("flash-image"))
+        let target = std::path::absolute(targets.join("flash-image").join(esc.unwrap_or("board")))
             .map_err(|error| refused(format!("no target directory: {error}")))?;
         let mut cargo = Command::new(std::env::var_os("CARGO").as_deref().unwrap_or(OsStr::new("cargo")));
         cargo
@@ -55,6 +63,10 @@ impl Firmware {
             // These would replace the link arguments of .cargo/config.toml.
             .env_remove("RUSTFLAGS")
             .env_remove("CARGO_ENCODED_RUSTFLAGS");
+        match esc {
+            Some(protocol) => cargo.env("KESTREL_ESC", protocol),
+            None => cargo.env_remove("KESTREL_ESC"),
+        };
         if !stderr().is_terminal() {
             cargo.arg("--quiet");
         }

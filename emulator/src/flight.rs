@@ -21,7 +21,7 @@ use rigless::image::Image;
 use rigless::session::Session;
 use rigless::soc::Width;
 use rigless::time::VirtualNanos;
-use sim_host::flight::{Answer, Crash, Observer, Outcome, World, steps_of};
+use sim_host::flight::{Answer, Crash, FlightLog, Outcome, World, steps_of};
 use sim_host::input_error::InputError;
 use sim_host::scene::Scene;
 
@@ -30,7 +30,7 @@ use crate::faults::Fault;
 use crate::firmware::Firmware;
 use crate::gaps;
 use crate::log::Log;
-use crate::pads::{Esc, PADS};
+use crate::pads::{Esc, Line, PADS};
 use crate::radio::Protocol;
 use crate::timing::Timing;
 use crate::vectors::Vectors;
@@ -63,7 +63,7 @@ pub struct Flown {
     pub outcome: Outcome,
     /// Whether the pilot's arming brought the motors to turn, and the vehicle left the ground.
     pub armed: bool,
-    /// It did.
+    /// It did; a vehicle on a ball joint can't.
     pub took_off: bool,
     /// Resets after the first start: when (s), and why.
     pub resets: Vec<(f64, String)>,
@@ -79,6 +79,8 @@ pub struct Flown {
     pub states: Vec<(f64, ArmState)>,
     /// The step records, in turn.
     pub records: Vec<StepRecord>,
+    /// When the last pad that floated did so no more, ns; never, if one floats at the end.
+    pub pads_floated_until_ns: u64,
     /// Hash of every edge at the pads.
     pub pads_digest: u64,
     /// The ESCs as they ended.
@@ -95,12 +97,12 @@ pub struct Flown {
 ///
 /// # Errors
 /// The image can't be placed on the board.
-pub fn fly<O: Observer + Send + 'static>(
+pub fn fly(
     scene: &Scene,
     seed: u64,
     settings: Settings<'_>,
-    observer: O,
-) -> Result<(Flown, O), InputError> {
+    observer: Option<FlightLog>,
+) -> Result<(Flown, Option<FlightLog>), InputError> {
     let board = FlightBoard::new(settings.wiring, settings.radio)
         .map_err(|error| InputError::new(format!("the board does not assemble: {error}")))?;
     let mut images = vec![settings.firmware.image()?];
@@ -130,6 +132,7 @@ pub fn fly<O: Observer + Send + 'static>(
         stepped_ns: 0,
         escs: Default::default(),
         digest: xxhash_rust::xxh3::Xxh3::new(),
+        floated_until_ns: u64::MAX,
         record_at: settings.firmware.record_address(),
         record: None,
         records: Vec::new(),
@@ -162,7 +165,7 @@ pub fn fly<O: Observer + Send + 'static>(
     let flight = Flown {
         outcome: world.outcome(flown, crash),
         armed: pilot.armed,
-        took_off: pilot.took_off,
+        took_off: pilot.took_off || scene.ball_joint,
         resets,
         missed_deadlines: pilot.missed_deadlines,
         instructions: stop.map_or(0, |stop| stop.instruction_count),
@@ -170,6 +173,7 @@ pub fn fly<O: Observer + Send + 'static>(
         unserved: pilot.vectors.into_complaints(),
         states: pilot.states,
         records: pilot.records,
+        pads_floated_until_ns: pilot.floated_until_ns,
         pads_digest: pilot.digest.digest(),
         escs: pilot.escs,
         log: pilot.log.into_lines(),
@@ -194,9 +198,9 @@ enum End {
 }
 
 /// What drives the run: the world on the one side, the board on the other.
-struct Pilot<O> {
+struct Pilot {
     world: World,
-    observer: O,
+    observer: Option<FlightLog>,
     wiring: &'static Wiring,
     channels: flight_core::rc::ChannelMap,
     steps: u64,
@@ -205,6 +209,7 @@ struct Pilot<O> {
     stepped_ns: u64,
     escs: [Esc; PADS],
     digest: xxhash_rust::xxh3::Xxh3,
+    floated_until_ns: u64,
     record_at: u64,
     record: Option<StepRecord>,
     records: Vec<StepRecord>,
@@ -221,7 +226,7 @@ struct Pilot<O> {
     end: Option<End>,
 }
 
-impl<O: Observer + Send> Pilot<O> {
+impl Pilot {
     fn take_edges(&mut self, machine: &mut Machine) {
         for (at_ns, pad, line) in machine.take_edges() {
             let mut bytes = [0; 10];
@@ -230,6 +235,12 @@ impl<O: Observer + Send> Pilot<O> {
             bytes[9] = line as u8;
             self.digest.update(&bytes);
             self.escs[pad].edge(at_ns, line);
+            let floats = self.escs.iter().any(|esc| esc.line() == Line::Floating);
+            self.floated_until_ns = match (floats, self.floated_until_ns) {
+                (true, _) => u64::MAX,
+                (false, u64::MAX) => at_ns,
+                (false, until_ns) => until_ns,
+            };
         }
     }
 
@@ -310,6 +321,8 @@ impl<O: Observer + Send> Pilot<O> {
                 imu.ready();
                 self.timing.ready(now_ns);
             }
+        } else {
+            machine.imu().withhold();
         }
         if let Some(sample) = input.mag {
             machine.compass().measure(to_chip(&self.wiring.compass_axes, sample.counts));
@@ -334,7 +347,7 @@ impl<O: Observer + Send> Pilot<O> {
     }
 }
 
-impl<O: Observer + Send> Driver<FlightBoard> for Pilot<O> {
+impl Driver<FlightBoard> for Pilot {
     fn on_settled(&mut self, session: &mut Session<FlightBoard>, host: &mut dyn Host, settled: Settled) {
         match settled {
             Settled::Access { access, .. } => {

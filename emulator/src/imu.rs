@@ -69,6 +69,8 @@ pub struct Imu {
     due: Option<(EventId, u64)>,
     pulse_ends: Option<EventId>,
     sampled: bool,
+    /// The sample that was due was not taken: the registers hold the one before.
+    withheld: bool,
     int1: bool,
     /// Counts that the chip's registers can't hold as a measurement, to be read in their place.
     raw: Option<[i16; 6]>,
@@ -92,6 +94,7 @@ impl Imu {
             due: None,
             pulse_ends: None,
             sampled: false,
+            withheld: false,
             int1: false,
             raw: None,
             words: 0,
@@ -124,10 +127,16 @@ impl Imu {
 
     /// Data are ready: INT1 says so, if it is to.
     pub fn ready(&mut self) {
+        self.withheld = false;
         let [_, config1, source] = self.int_config;
         if source & 0x08 != 0 && config1 & 0x10 == 0 {
             self.int1 = true;
         }
+    }
+
+    /// The sample that is due is not taken.
+    pub fn withhold(&mut self) {
+        self.withheld = true;
     }
 
     /// Level of the pin INT1.
@@ -225,6 +234,10 @@ impl Imu {
         {
             let at = usize::from(address - ACCEL_DATA_X1);
             byte = raw[at / 2].to_be_bytes()[at % 2];
+        }
+        // DATA_RDY_INT.
+        if self.withheld && self.bank == 0 && address == INT_STATUS {
+            byte &= !0x08;
         }
         self.words = self.words.wrapping_add(1);
         if let Some(every) = self.faults.flip_every {
