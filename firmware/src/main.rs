@@ -7,12 +7,13 @@
 //!       13 µs      the burst is done, and its vector is that of `flight`: sample and inbox to the flight
 //!                  controller, pulses and permit to the outputs
 //!     any time     `tick`: the bytes that the receiver has sent; starts what is due of `supply`, `compass`,
-//!                  `health`
+//!                  `health`, and `imu` while the sensor is being set up
 //!                  idle: sleeps
 //!    1,000 µs      the next sample
 //! ```
-//! If the next sample does not come, a timer wakes `flight` at 1,500 µs after the last one, and then every
-//! 1,000 µs: the step runs without a sample, and the flight controller decides what to make of it.
+//! If the next edge does not come, a timer starts the burst at 1,500 µs after the last one, and then every
+//! 1,000 µs. If that brings no sample, or the sensor is being set up, the step runs without one, and the flight
+//! controller decides what to make of it.
 //!
 //! # Who may do what
 //! Whether the motors turn is decided in one place, `flight_core::arming`, which hands out a `MotorPermit`
@@ -40,6 +41,8 @@ mod clock;
 #[cfg(not(feature = "unwired"))]
 mod compass;
 mod fault;
+#[cfg(not(feature = "unwired"))]
+mod imu;
 mod inbox;
 #[cfg(not(feature = "unwired"))]
 mod pilot;
@@ -78,13 +81,14 @@ const IMAGE_NAME: &str = match (cfg!(feature = "unwired"), cfg!(feature = "bench
 // | task       | woken by                     | prio | rate      | deadline       | has                           |
 // |------------|------------------------------|------|-----------|----------------|-------------------------------|
 // | (board's)  | EXTI4: data ready            | 5    | 1 kHz     | –              | the time, the burst           |
-// | (board's)  | TIM5: sample overdue         | 5    | ≤ 1 kHz   | –              | the time                      |
+// | (board's)  | TIM5: sample overdue         | 5    | ≤ 1 kHz   | –              | the time, the burst           |
 // | `receive`  | USART2: a byte               | 5    | ≤ 42 kHz  | the next byte  | ear                           |
 // | `flight`   | DMA2_STREAM0: burst done, or | 4    | 1 kHz     | 1 ms           | flight controller, sampler,   |
 // |            | pended when overdue          |      |           |                | outputs, monitor; inbox, watch|
 // | `tick`     | SysTick                      | 3    | 1 kHz     | 1 ms           | radio; inbox, watch           |
 // | `supply`   | `tick`, every 20th           | 2    | 50 Hz     | 20 ms          | supply, watchdog; inbox, watch|
 // | `health`   | `tick`, every 1,000th        | 2    | 1 Hz      | 1 s            | watch                         |
+// | `imu`      | `tick`, while being set up   | 2    | 1 kHz     | –              | the inertial sensor's set-up  |
 // | `announce` | whoever has news             | 2    | rare      | –              | its argument                  |
 // | `stream`   | `flight`, feature `bench`    | 2    | 1 kHz     | –              | its argument                  |
 // | `compass`  | `tick`, every 5th            | 1    | 200 Hz    | 5 ms           | compass; inbox, watch         |
@@ -101,7 +105,9 @@ mod app {
     use flight_core::watchdog::Deadline;
     use flight_core::{FlightController, Input};
 
-    use crate::board::{self, Board, Compass, Ear, Monitor, Outputs, Radio, Sampler, Step, Supply, Watchdog};
+    use crate::board::{
+        self, Board, Compass, Ear, Imu, Monitor, Outputs, Radio, Sampler, Step, Supply, Watchdog,
+    };
     use crate::inbox::Inbox;
     use crate::tally::TALLY;
     use crate::watch::{self, COMPASS_TICKS, HEALTH_TICKS, SUPPLY_TICKS, Task, Watch};
@@ -128,6 +134,7 @@ mod app {
     struct Local {
         controller: FlightController,
         sampler: Sampler,
+        imu: Imu,
         outputs: Outputs,
         monitor: Monitor,
         ear: Ear,
@@ -160,11 +167,22 @@ mod app {
         #[cfg(feature = "bench")]
         crate::bench::begin(&board.config);
         let Board {
-            sampler, outputs, monitor, ear, radio, supply, compass, watchdog, watchdog_reset, ..
+            sampler,
+            imu,
+            outputs,
+            monitor,
+            ear,
+            radio,
+            supply,
+            compass,
+            watchdog,
+            watchdog_reset,
+            ..
         } = board;
         let local = Local {
             controller,
             sampler,
+            imu,
             outputs,
             monitor,
             ear,
@@ -253,6 +271,9 @@ mod app {
         if watch.lock(|watch| watch.check_in(Task::Flight, deadline, now_us)) {
             announce::spawn(News::Missed(Task::Flight)).ok();
         }
+        if sample.polled && watch.lock(|watch| watch.miss(Task::DataReady)) {
+            announce::spawn(News::Missed(Task::DataReady)).ok();
+        }
         sampling::served();
     }
 
@@ -278,6 +299,10 @@ mod app {
         }
         if ticks.is_multiple_of(HEALTH_TICKS) && health::spawn().is_err() {
             miss(Task::Health);
+        }
+        // It has no deadline: one that is still at its last step goes on with the next tick.
+        if sampling::setting_up() {
+            imu::spawn().ok();
         }
         *ticks = ticks.wrapping_add(1);
 
@@ -317,6 +342,11 @@ mod app {
             watch.begin_report();
         });
         TALLY.log(watch::missed());
+    }
+
+    #[task(priority = 2, local = [imu])]
+    async fn imu(cx: imu::Context) {
+        cx.local.imu.run();
     }
 
     #[task(priority = 2)]

@@ -41,8 +41,10 @@ impl Count {
 
 /// All of them.
 pub struct Tally {
-    /// Inertial samples that did not come within 1.5 periods.
+    /// Steps without an inertial sample, because none could be read.
     pub lost: Count,
+    /// Reads without an edge of the data-ready line.
+    pub polled: Count,
     /// Those that came while the one before was still being read or worked on.
     pub late: Count,
     /// Reads that brought the same sample again.
@@ -72,6 +74,7 @@ pub struct Tally {
 /// The counts.
 pub static TALLY: Tally = Tally {
     lost: Count::new(),
+    polled: Count::new(),
     late: Count::new(),
     repeated: Count::new(),
     invalid: Count::new(),
@@ -90,10 +93,11 @@ impl Tally {
     /// Writes the health line, and begins anew. `missed`: deadlines missed since start.
     pub fn log(&self, missed: u32) {
         defmt::info!(
-            "imu lost {=u32} late {=u32} repeated {=u32} invalid {=u32} unreadable {=u32}, flight {=u32} us, \
+            "imu lost {=u32} polled {=u32} late {=u32} repeated {=u32} invalid {=u32} unreadable {=u32}, flight {=u32} us, \
              outputs dropped {=u32} recovered {=u32}, mag {=u32} errors {=u32}, rc {=u32} bad {=u32}, \
              battery {=u32} mV, missed {=u32}",
             self.lost.take(),
+            self.polled.take(),
             self.late.take(),
             self.repeated.take(),
             self.invalid.take(),

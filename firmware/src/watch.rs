@@ -20,11 +20,11 @@ pub enum Task {
     Compass,
     /// `health`.
     Health,
+    /// No task: the inertial sensor's data-ready line.
+    DataReady,
 }
 
 impl Task {
-    const ALL: [Self; 5] = [Self::Flight, Self::Tick, Self::Supply, Self::Compass, Self::Health];
-
     /// For people.
     pub const fn name(self) -> &'static str {
         match self {
@@ -33,22 +33,21 @@ impl Task {
             Self::Supply => "supply",
             Self::Compass => "compass",
             Self::Health => "health",
-        }
-    }
-
-    /// Age of the last check-in at which the task is late, µs: its longest period, and as much again for those
-    /// that are started by another task.
-    const fn allowed_age_us(self) -> u64 {
-        match self {
-            // A lost sample, and the period of those that stay lost.
-            Self::Flight => (OVERDUE_US + PERIOD_US) as u64,
-            Self::Tick => 2 * PERIOD_US as u64,
-            Self::Supply => 2 * (SUPPLY_TICKS * PERIOD_US) as u64,
-            Self::Compass => 2 * (COMPASS_TICKS * PERIOD_US) as u64,
-            Self::Health => 2 * (HEALTH_TICKS * PERIOD_US) as u64,
+            Self::DataReady => "data ready",
         }
     }
 }
+
+/// The roll, in the order of [`Task`]: the age of the last check-in at which the task is late, µs. That is its longest
+/// period, and as much again for those that are started by another task.
+const ALLOWED_AGE_US: [u64; 5] = [
+    // A lost sample, and the period of those that stay lost.
+    (OVERDUE_US + PERIOD_US) as u64,
+    2 * PERIOD_US as u64,
+    2 * (SUPPLY_TICKS * PERIOD_US) as u64,
+    2 * (COMPASS_TICKS * PERIOD_US) as u64,
+    2 * (HEALTH_TICKS * PERIOD_US) as u64,
+];
 
 /// Ticks (1 ms) from one run to the next.
 pub const COMPASS_TICKS: u32 = 5;
@@ -70,7 +69,7 @@ pub fn missed() -> u32 {
 
 /// The roll, and who was told of.
 pub struct Watch {
-    roll: Roll<{ Task::ALL.len() }>,
+    roll: Roll<{ ALLOWED_AGE_US.len() }>,
     clock: Clock,
     /// Bit n: a miss of task n has been told since the last health line.
     told: u32,
@@ -79,9 +78,8 @@ pub struct Watch {
 impl Watch {
     /// Nobody has checked in yet; it is `now_us`.
     pub fn new(now_us: u32) -> Self {
-        let allowed_age_us = Task::ALL.map(Task::allowed_age_us);
         let mut clock = Clock::new();
-        Self { roll: Roll::new(allowed_age_us, clock.at(now_us), GRACE_US), clock, told: 0 }
+        Self { roll: Roll::new(ALLOWED_AGE_US, clock.at(now_us), GRACE_US), clock, told: 0 }
     }
 
     /// `task` ends a run at `now_us`. Returns whether a person should be told that it was late.

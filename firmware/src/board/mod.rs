@@ -4,6 +4,7 @@
 //! |---|---|
 //! | `init(core, device) -> Board` | brings the board up, outputs first and at the stop pulse |
 //! | `Sampler` | [`crate::sampling::Sampler`] on the board's bus |
+//! | `Imu::run()` | a step of the inertial sensor's set-up, without waiting |
 //! | `Outputs::drive(permit, pulses_us)` | sends pulses of rotors 1 to 4; takes the permit by value |
 //! | `Outputs::stop()` | sends the stop pulse to all four |
 //! | `Ear::hear()` | takes a byte from the receiver |
@@ -19,7 +20,7 @@
 //! # Waking the tasks
 //! RTIC binds a task to one interrupt vector, and takes no vector that depends on the board. So the flight task
 //! is bound to [`WAKE_FLIGHT`], which is the end of the sensor's DMA burst on a flight board, and which each board
-//! also pends when 1.5 periods have passed since the last sample. A dead sensor thus ages in the flight
+//! also raises when 1.5 periods have passed since the last sample. A dead sensor thus ages in the flight
 //! controller, and does not stop it. The `tick` task is bound to SysTick, once a millisecond.
 //!
 //! # Acknowledging interrupts
@@ -70,7 +71,7 @@ pub const SENSE_PRIORITY: u8 = 5;
 /// Time from one inertial sample to the next, µs: the rate of [`flight_core::Params::default`].
 pub const PERIOD_US: u32 = 1_000;
 
-/// How long after a sample the next one counts as missing, µs; after that, one step in each period.
+/// How long after a sample the next one counts as overdue, µs; after that, one step in each period.
 pub const OVERDUE_US: u32 = PERIOD_US + PERIOD_US / 2;
 
 /// The board's parts, each of which one task owns.
@@ -79,6 +80,8 @@ pub struct Board {
     pub config: Config,
     /// Where samples come from.
     pub sampler: Sampler,
+    /// The inertial sensor's set-up.
+    pub imu: Imu,
     /// The way to the motors.
     pub outputs: Outputs,
     /// What the board shows of a step.

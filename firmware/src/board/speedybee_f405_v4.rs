@@ -22,10 +22,8 @@
 use cortex_m::peripheral::NVIC;
 use cortex_m::peripheral::syst::SystClkSource;
 use cortex_m::singleton;
-use drivers::icm42688p::Icm42688p;
 use embedded_hal::delay::DelayNs;
 use embedded_hal::spi::MODE_3;
-use embedded_hal_bus::spi::{ExclusiveDevice, NoDelay};
 use flight_core::arming::MotorPermit;
 use flight_core::calibration::Sensitivity;
 use flight_core::esc::protocol::{Protocol, STOP_US};
@@ -33,7 +31,7 @@ use flight_core::geometry::{Mat3, vec3};
 use flight_core::sample::{MagSample, RcFrame};
 use flight_core::{ArmState, Config, Params};
 use stm32f4xx_hal::gpio::{self, Edge, PinState, Speed};
-use stm32f4xx_hal::pac::{self, Interrupt, SPI1, TIM3, TIM4, TIM5, interrupt};
+use stm32f4xx_hal::pac::{self, Interrupt, TIM3, TIM4, TIM5, interrupt};
 use stm32f4xx_hal::prelude::*;
 use stm32f4xx_hal::rcc::{self, Enable};
 use stm32f4xx_hal::spi::Spi;
@@ -41,9 +39,10 @@ use stored_config::{DecodeError, MAX_RECORD};
 
 use super::{Board, OVERDUE_US, PERIOD_US, SENSE_PRIORITY, Step, WAKE_FLIGHT, listen};
 use crate::clock::Clock;
+pub use crate::imu::Imu;
 use crate::pilot::Pilot;
 use crate::sampling;
-use crate::stm32f405::burst::{self, ImuBus};
+use crate::stm32f405::burst::{self, ImuBus, ImuSpi};
 use crate::stm32f405::bus::{self, Bus};
 use crate::stm32f405::esc::{Lines, Sent};
 pub use crate::stm32f405::port::Ear;
@@ -57,9 +56,18 @@ use crate::tally::TALLY;
 /// The board's name.
 pub const NAME: &str = "SpeedyBee F405 V4";
 
-/// What the ESCs are driven with: to be chosen for the ESC (`docs/hardware.md`). The one that is sold with this board
-/// is specified for DShot300 and DShot600.
-const ESC: Protocol = Protocol::DShot300;
+/// What the ESCs are driven with: to be chosen for the ESC, by the variable `KESTREL_ESC` at build time
+/// (`docs/hardware.md`). The ESC that is sold with this board is specified for DShot300 and DShot600.
+const ESC: Protocol = match option_env!("KESTREL_ESC") {
+    None => Protocol::DShot300,
+    Some(name) => match name.as_bytes() {
+        b"pwm" => Protocol::Pwm { rate_hz: 400.0 },
+        b"oneshot125" => Protocol::OneShot125,
+        b"dshot300" => Protocol::DShot300,
+        b"dshot600" => Protocol::DShot600,
+        _ => panic!("KESTREL_ESC is pwm, oneshot125, dshot300 or dshot600"),
+    },
+};
 
 /// Divider from the battery to its pin, and the pin's ADC channel.
 const BATTERY_RATIO: f32 = 11.0;
@@ -162,16 +170,9 @@ pub fn init(mut core: cortex_m::Peripherals, device: pac::Peripherals) -> Board 
         &mut rcc,
     );
     let select = gpioa.pa4.into_push_pull_output_in_state(PinState::High);
-    let Ok(spi) = ExclusiveDevice::new_no_delay(spi, select);
-    let spi = match Icm42688p::new(spi, &mut Wait) {
-        Ok(imu) => Some(imu.release()),
-        Err(error) => {
-            // The flight task runs all the same, and refuses to arm.
-            defmt::error!("inertial sensor: {}", defmt::Debug2Format(&error));
-            None
-        }
-    };
-    let sampler = Sampler::new(ImuBus::new(spi, device.DMA2, &mut rcc));
+    let imu = Imu::new(ImuSpi::new(spi, select));
+    sampling::claim();
+    let sampler = Sampler::new(ImuBus::new(device.DMA2, &mut rcc));
 
     gpioa.pa3.into_alternate::<7>().set_internal_resistor(gpio::Pull::Up);
     let bytes = singleton!(: Bytes = Bytes::new()).expect("init runs once");
@@ -203,6 +204,7 @@ pub fn init(mut core: cortex_m::Peripherals, device: pac::Peripherals) -> Board 
     Board {
         config,
         sampler,
+        imu,
         outputs: Outputs(()),
         monitor: Monitor { light, steps: 0 },
         ear,
@@ -265,7 +267,7 @@ fn EXTI4() {
     }
 }
 
-/// The sensor's next sample is overdue.
+/// The sensor's next sample is overdue: it is asked for, in case the line is at fault.
 #[interrupt]
 fn TIM5() {
     // The sample may have come while this waited for its turn.
@@ -274,12 +276,15 @@ fn TIM5() {
     }
     let overdue_us = now_us();
     expect_sample_by(overdue_us.wrapping_add(PERIOD_US));
-    sampling::overdue(overdue_us);
-    NVIC::pend(WAKE_FLIGHT);
+    if sampling::poll(overdue_us) {
+        burst::start();
+    } else {
+        NVIC::pend(WAKE_FLIGHT);
+    }
 }
 
 /// The inertial sensor, by DMA.
-pub type Sampler = sampling::Sampler<ImuBus<ExclusiveDevice<Spi<SPI1>, gpio::PA4<gpio::Output>, NoDelay>>>;
+pub type Sampler = sampling::Sampler<ImuBus>;
 
 /// The receiver.
 pub struct Radio {
@@ -299,7 +304,7 @@ impl Radio {
             if found.is_none()
                 && let Some(protocol) = self.pilot.found()
             {
-                defmt::info!("receiver found: {}", defmt::Debug2Format(&protocol));
+                defmt::info!("receiver found: {=str}", protocol.name());
             }
             if frame.is_some() {
                 TALLY.rc.add();

@@ -65,6 +65,7 @@ pub fn init(mut core: cortex_m::Peripherals, device: pac::Peripherals) -> Board 
     Board {
         config: source::config(),
         sampler: Sampler::new(Frames),
+        imu: Imu,
         outputs: Outputs(()),
         monitor: Monitor::default(),
         ear: Ear,
@@ -125,6 +126,9 @@ fn play(sample: ImuSample) {
 pub struct Frames;
 
 impl BurstBus for Frames {
+    /// Whoever plays the sensor plays its end too.
+    const SETS_UP: bool = false;
+
     /// Software pends the vector here, and so nothing stays up: the frame is there before the vector is pended.
     #[inline]
     fn acknowledge(&mut self) -> Signal {
@@ -141,6 +145,14 @@ impl BurstBus for Frames {
 
 /// The slots' samples.
 pub type Sampler = sampling::Sampler<Frames>;
+
+/// The sensor is played, and never set up.
+pub struct Imu;
+
+impl Imu {
+    /// Is never called.
+    pub fn run(&mut self) {}
+}
 
 /// No bytes come.
 pub struct Ear;
