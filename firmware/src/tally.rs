@@ -67,6 +67,8 @@ pub struct Tally {
     pub rc: Count,
     /// Receiver frames that were damaged.
     pub rc_bad: Count,
+    /// Runs of `compass` and `health` that were due while the one before was not done.
+    pub delayed: Count,
     /// Battery, mV, as last measured.
     pub battery_mv: Count,
 }
@@ -86,6 +88,7 @@ pub static TALLY: Tally = Tally {
     mag_errors: Count::new(),
     rc: Count::new(),
     rc_bad: Count::new(),
+    delayed: Count::new(),
     battery_mv: Count::new(),
 };
 
@@ -95,7 +98,7 @@ impl Tally {
         defmt::info!(
             "imu lost {=u32} polled {=u32} late {=u32} repeated {=u32} invalid {=u32} unreadable {=u32}, flight {=u32} us, \
              outputs dropped {=u32} recovered {=u32}, mag {=u32} errors {=u32}, rc {=u32} bad {=u32}, \
-             battery {=u32} mV, missed {=u32}",
+             battery {=u32} mV, delayed {=u32} missed {=u32}",
             self.lost.take(),
             self.polled.take(),
             self.late.take(),
@@ -110,6 +113,7 @@ impl Tally {
             self.rc.take(),
             self.rc_bad.take(),
             self.battery_mv.take(),
+            self.delayed.take(),
             missed,
         );
     }

@@ -11,7 +11,7 @@
 //! | `Radio::poll() -> Option<RcFrame>` | the next frame that the bytes so far have completed |
 //! | `Supply::measure() -> Option<Battery>` | the battery, without waiting |
 //! | `Compass::run() -> Option<MagSample>` | the magnetometer's new sample; may wait, for less than 5 ms |
-//! | `Watchdog::feed()` | another second |
+//! | `Watchdog::feed()` | another period |
 //! | `Monitor::show(&Step)` | what the board shows of a step: a light, or a record |
 //! | `now_us() -> u32` | free-running microseconds |
 //! | `stop_after_fault()` | the stop on all four, when nothing else runs any more, whatever state the outputs are in |
@@ -35,7 +35,7 @@
 //! | TIM5 | CC1IF, read and cleared first; it is the only one of TIM5's interrupts that is on |
 //! | USART2 (`receive`) | `Ear::hear` reads SR and then DR, which clears RXNE and ORE, the two that raise it |
 //! | SysTick (`tick`) | the processor, when it enters the handler |
-//! | CRYP, DCMI (dispatchers) | the same: the F405 has no such peripherals, and software alone pends them |
+//! | CRYP, DCMI, HASH_RNG (dispatchers) | the same: software alone pends them. The F405 has neither of the first two, and its random number generator is off |
 //!
 //! A board's own interrupt handlers note what happened and when, and call [`crate::sampling`]. They have a higher
 //! priority than any other but `receive` ([`SENSE_PRIORITY`]), so that a time is not late because a task runs.
@@ -66,7 +66,7 @@ pub const WAKE_FLIGHT: Interrupt = Interrupt::DMA2_STREAM0;
 
 /// RTIC priority (larger is more urgent) of the interrupts that take times. Tasks have this one or a lower one.
 #[cfg(not(feature = "hil"))]
-pub const SENSE_PRIORITY: u8 = 5;
+pub const SENSE_PRIORITY: u8 = 6;
 
 /// Time from one inertial sample to the next, µs: the rate of [`flight_core::Params::default`].
 pub const PERIOD_US: u32 = 1_000;
