@@ -358,7 +358,7 @@ impl Stm32f405 {
             flash: FlashArray::new(Flash::with_clock(RESET_HZ)),
             adc: std::array::from_fn(|_| Adc::with_clock(RESET_HZ / 2)),
             adc_common,
-            tim: std::array::from_fn(|n| Timer::new(Tim::with_clock(RESET_HZ, TIMERS[n].counter))),
+            tim: std::array::from_fn(|n| Timer::new(Tim::with_clock(RESET_HZ, TIMERS[n].counter), RESET_HZ)),
             advanced: std::array::from_fn(|n| {
                 Tim::with_clock(RESET_HZ, ADVANCED_TIMERS[n].counter).breaks_on("RCC", rcc::CLOCK_FAILURE)
             }),
@@ -427,6 +427,11 @@ impl Stm32f405 {
     /// Port `n` and its registers.
     pub fn port(&self, n: usize) -> (&Gpio, &RegisterFile) {
         (&self.gpio[n], self.bus.slots()[self.slots.gpio[n]].registers())
+    }
+
+    /// The bus's slot of port `n`.
+    pub fn port_slot(&self, n: usize) -> usize {
+        self.slots.gpio[n]
     }
 
     /// Timer `n` of TIM2 to TIM5 and its registers.
