@@ -330,6 +330,7 @@ impl Mcu for Machine {
 
     fn reset(&mut self, at: VirtualNanos, cause: ResetCause) {
         self.part.reset(at, cause);
+        self.part.tell_chips(at);
         // Levels that are put on pins from outside stand; the ports have forgotten them.
         self.ready = None;
         self.data_held = false;

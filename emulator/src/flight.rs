@@ -408,7 +408,7 @@ impl Driver<FlightBoard> for Pilot {
         self.active.run(machine, now_ns);
 
         let sampled = machine.imu().take_sampled();
-        let running = machine.imu().next_sample_ns();
+        let running = machine.imu().next_sample_ns().filter(|&at| at > now_ns);
         // A stop comes up to an instruction after its instant, so that steps are a little more or less apart.
         let since_ns = now_ns - self.stepped_ns;
         let due = if running.is_some() { sampled && since_ns > STEP_NS / 2 } else { since_ns >= STEP_NS };
