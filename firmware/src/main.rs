@@ -49,6 +49,8 @@ mod pilot;
 mod recorder;
 mod sampling;
 mod stm32f405;
+#[cfg(not(feature = "unwired"))]
+mod stored;
 mod tally;
 mod watch;
 
@@ -153,7 +155,7 @@ mod app {
     #[init]
     fn init(cx: init::Context) -> (Shared, Local) {
         let board = board::init(cx.core, cx.device);
-        let controller = match FlightController::new(&board::config()) {
+        let controller = match FlightController::new(&board.config) {
             Ok(controller) => controller,
             // Its numbers go without a word: formatting floats takes a third of the flash that there is.
             Err(error) => panic!("configuration: {} is out of range", error.field),
@@ -167,6 +169,8 @@ mod app {
         if BENCH {
             defmt::info!("bench: the outputs are locked");
         }
+        #[cfg(feature = "bench")]
+        crate::bench::begin(&board.config);
         let Board {
             sampler,
             imu,

@@ -286,10 +286,16 @@ impl<B: BurstBus> Sampler<B> {
         let polled = POLLED.load(Ordering::Relaxed);
         let next = if B::SETS_UP && self.recovery.must_set_up(frame, woken_us) { SET_UP } else { NOBODY };
         OWNER.store(next, Ordering::Release);
+        let time_us = self.clock.at(woken_us);
+        // The line is silent because there is no new sample: it is lost, and the line is well.
+        if polled && frame == Err(FrameError::Repeated) {
+            TALLY.lost.add();
+            return Sample { time_us, woken_us, imu: None, polled: false };
+        }
         if polled {
             TALLY.polled.add();
         }
-        Sample { time_us: self.clock.at(woken_us), woken_us, imu: counted(frame), polled }
+        Sample { time_us, woken_us, imu: counted(frame), polled }
     }
 }
 

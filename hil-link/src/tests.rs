@@ -117,7 +117,7 @@ fn every_single_and_double_bit_error_is_found_and_the_next_frame_is_whole() {
 fn another_version_is_named() {
     let mut frame_bytes = frame(0, &ToBoard::End);
     // COBS: the first byte is a count, the second the version. A whole packet of version 9.
-    frame_bytes.truncate(0);
+    frame_bytes.clear();
     let mut packet = std::vec![9, 1, 0, 0, 0, 0, 0, 2];
     let crc = crc::Crc::<u32>::new(&crc::CRC_32_ISO_HDLC).checksum(&packet);
     packet.extend(crc.to_le_bytes());

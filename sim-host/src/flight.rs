@@ -443,11 +443,11 @@ impl Judge {
         let [w, x, y, z] = truth.attitude.to_array();
         let vectors = [truth.position, truth.velocity, truth.rates];
         let numbers = vectors.into_iter().flat_map(<[f64; 3]>::from).chain([w, x, y, z]);
-        for (slot, number) in bytes.chunks_exact_mut(8).zip(numbers) {
-            slot.copy_from_slice(&number.to_bits().to_le_bytes());
+        for (slot, number) in bytes.as_chunks_mut().0.iter_mut().zip(numbers) {
+            *slot = number.to_bits().to_le_bytes();
         }
-        for (slot, pulse) in bytes[13 * 8..].chunks_exact_mut(4).zip(output.pulses_us) {
-            slot.copy_from_slice(&pulse.to_bits().to_le_bytes());
+        for (slot, pulse) in bytes[13 * 8..].as_chunks_mut().0.iter_mut().zip(output.pulses_us) {
+            *slot = pulse.to_bits().to_le_bytes();
         }
         self.digest.update(&bytes);
     }

@@ -3,7 +3,6 @@
 //! | item | what it is |
 //! |---|---|
 //! | `init(core, device) -> Board` | brings the board up, outputs first and at the stop pulse |
-//! | `config() -> Config` | what the flight controller is built from: how the sensors are mounted |
 //! | `Sampler` | [`crate::sampling::Sampler`] on the board's bus |
 //! | `Imu::run()` | a step of the inertial sensor's set-up, without waiting |
 //! | `Outputs::drive(permit, pulses_us)` | sends pulses of rotors 1 to 4; takes the permit by value |
@@ -42,9 +41,9 @@
 //! priority than any other but `receive` ([`SENSE_PRIORITY`]), so that a time is not late because a task runs.
 
 use cortex_m::peripheral::NVIC;
-use flight_core::ArmState;
 use flight_core::arming::Event;
 use flight_core::geometry::Quaternion;
+use flight_core::{ArmState, Config};
 use stm32f4xx_hal::pac::{Interrupt, NVIC_PRIO_BITS};
 
 #[cfg(feature = "speedybee-f405-v4")]
@@ -77,6 +76,8 @@ pub const OVERDUE_US: u32 = PERIOD_US + PERIOD_US / 2;
 
 /// The board's parts, each of which one task owns.
 pub struct Board {
+    /// What the flight controller is built from. It is within all ranges.
+    pub config: Config,
     /// Where samples come from.
     pub sampler: Sampler,
     /// The inertial sensor's set-up.

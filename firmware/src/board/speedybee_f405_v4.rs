@@ -29,12 +29,13 @@ use flight_core::calibration::Sensitivity;
 use flight_core::esc::protocol::{Protocol, STOP_US};
 use flight_core::geometry::{Mat3, vec3};
 use flight_core::sample::{MagSample, RcFrame};
-use flight_core::{ArmState, Calibration, Config, Params};
+use flight_core::{ArmState, Config, Params};
 use stm32f4xx_hal::gpio::{self, Edge, PinState, Speed};
 use stm32f4xx_hal::pac::{self, Interrupt, TIM3, TIM4, TIM5, interrupt};
 use stm32f4xx_hal::prelude::*;
 use stm32f4xx_hal::rcc::{self, Enable};
 use stm32f4xx_hal::spi::Spi;
+use stored_config::{DecodeError, MAX_RECORD};
 
 use super::{Board, OVERDUE_US, PERIOD_US, SENSE_PRIORITY, Step, WAKE_FLIGHT, listen};
 use crate::clock::Clock;
@@ -49,6 +50,7 @@ use crate::stm32f405::port::{self, Bytes, Port};
 use crate::stm32f405::reset::Cause;
 pub use crate::stm32f405::reset::Watchdog;
 pub use crate::stm32f405::supply::Supply;
+use crate::stored::{self, Refused};
 use crate::tally::TALLY;
 
 /// The board's name.
@@ -57,23 +59,48 @@ pub const NAME: &str = "SpeedyBee F405 V4";
 /// What the ESCs are driven with: to be chosen for the ESC (`docs/hardware.md`).
 const ESC: Protocol = Protocol::Pwm { rate_hz: 400.0 };
 
-/// What was measured on this vehicle's sensors. Without it the firmware does not arm.
-const CALIBRATION: Option<Calibration> = None;
-
 /// Divider from the battery to its pin, and the pin's ADC channel.
 const BATTERY_RATIO: f32 = 11.0;
 const BATTERY_CHANNEL: u8 = 10;
 
 const LINES: Lines = Lines::new(ESC);
 
-/// Datasheet sensitivities, and the sensor turned as it is on this board: its x points right, its y forward,
-/// its z up.
-pub fn config() -> Config {
+unsafe extern "C" {
+    /// The parameter sectors (memory.x): flash, which nothing in this image writes to.
+    safe static STORED_CONFIG: [u8; MAX_RECORD];
+}
+
+/// What the board has and what a vehicle without a stored configuration flies with: datasheet sensitivities, and the
+/// inertial sensor turned as it is on this board, with its x to the right, its y forward, its z up.
+fn params() -> Params {
     let mut params = Params::default();
     let mounting = Mat3 { rows: [vec3(0.0, 1.0, 0.0), vec3(1.0, 0.0, 0.0), vec3(0.0, 0.0, -1.0)] };
     params.gyro = Sensitivity { mounting, ..params.gyro };
     params.accel = Sensitivity { mounting, ..params.accel };
-    Config { params, calibration: CALIBRATION }
+    params
+}
+
+/// The stored configuration; without one that is sound, the defaults without a calibration, which do not arm.
+///
+/// A function of its own, so that what it takes of the stack is free again when the rest of the board is brought up.
+#[inline(never)]
+fn config() -> Config {
+    let params = params();
+    match stored::read(&STORED_CONFIG, &params) {
+        Ok(config) => {
+            defmt::info!("configuration: stored, calibrated {=bool}", config.calibration.is_some());
+            config
+        }
+        Err(refused) => {
+            let (what, field) = refused.text();
+            if refused == Refused::Record(DecodeError::Empty) {
+                defmt::warn!("configuration: {=str}, flying needs one", what);
+            } else {
+                defmt::error!("stored configuration refused: {=str}{=str}", what, field);
+            }
+            Config { params, calibration: None }
+        }
+    }
 }
 
 /// Brings the board up: clocks, then the stop pulse on the outputs, then everything else.
@@ -132,7 +159,8 @@ pub fn init(mut core: cortex_m::Peripherals, device: pac::Peripherals) -> Board 
     gpioa.pa3.into_alternate::<7>().set_internal_resistor(gpio::Pull::Up);
     let bytes = singleton!(: Bytes = Bytes::new()).expect("init runs once");
     let (ear, port) = port::open(device.USART2, bytes, Pilot::FIRST.line(), &mut rcc);
-    let radio = Radio { port, pilot: Pilot::new(config().params.channels), clock: Clock::new(), damaged: 0 };
+    let config = config();
+    let radio = Radio { port, pilot: Pilot::new(config.params.channels), clock: Clock::new(), damaged: 0 };
 
     gpioc.pc0.into_analog();
     let supply = Supply::new(device.ADC1, &device.ADC_COMMON, BATTERY_CHANNEL, BATTERY_RATIO, &mut rcc);
@@ -156,6 +184,7 @@ pub fn init(mut core: cortex_m::Peripherals, device: pac::Peripherals) -> Board 
     core.SYST.enable_interrupt();
 
     Board {
+        config,
         sampler,
         imu,
         outputs: Outputs(()),

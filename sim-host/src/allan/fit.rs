@@ -12,7 +12,7 @@
 //! to a perfect fit, is Σ edf (s/σ² − 1 − ln s/σ²), and it is minimised by least squares with the weights
 //! edf/2σ⁴ of the model itself (Fisher scoring): weights of the *estimates* would prefer those that came out
 //! low. All 31 choices of terms are fitted, those with a negative square dropped, and of the rest the one taken
-//! with the lowest deviance + [`PRICE`] a term: a coefficient that the data do not call for is not given. Its
+//! with the lowest deviance + `PRICE` a term: a coefficient that the data do not call for is not given. Its
 //! uncertainty is from the Fisher information, and what is not given has an upper bound instead.
 //!
 //! # What a model cannot say

@@ -10,7 +10,7 @@
 //!
 //! # Memory
 //! A column is held as doubles and turned into its running sums in place: 0.8 GB for 10⁸ rows. The file is
-//! read again as often as it takes for no more than [`MEMORY`] to be held at once.
+//! read again as often as it takes for no more than `MEMORY` to be held at once.
 
 use std::fmt;
 use std::fs::File;
@@ -487,7 +487,7 @@ fn rows(text: &[u8], separator: u8) -> Result<Vec<Vec<String>>, InputError> {
 /// other separator left in them.
 fn separator(text: &[u8]) -> Result<u8, InputError> {
     let mut fitting = Vec::new();
-    for separator in [b',', b';', b'\t'] {
+    for separator in *b",;\t" {
         let rows = rows(text, separator)?;
         let width = rows.first().map_or(0, Vec::len);
         let decimal = |cell: &str| separator == b';' && parse(cell.as_bytes(), true).is_some();
@@ -500,7 +500,7 @@ fn separator(text: &[u8]) -> Result<u8, InputError> {
         [one] => Ok(*one),
         [] => {
             // One column, or a file whose lines differ: reading it says where.
-            let used = [b',', b';', b'\t'].into_iter().filter(|s| text.contains(s)).collect::<Vec<_>>();
+            let used = b",;\t".iter().copied().filter(|s| text.contains(s)).collect::<Vec<_>>();
             match used.as_slice() {
                 [] => Ok(b','),
                 [one] => Ok(*one),

@@ -59,7 +59,7 @@ pub fn write(mut file: OutputFile, campaign: &Campaign, runs: &[Run]) -> Result<
     file.finish()
 }
 
-/// What [`write`] writes.
+/// What [`write`](write()) writes.
 ///
 /// # Errors
 /// None of what a campaign gives; runs that have drawn different quantities are no table.

@@ -2,7 +2,7 @@
 //!
 //! After TDK's datasheet DS-000347; section numbers, reset values and quoted rules are those of revision 1.6
 //! as the crate `rigless` 0.3 (`chip/icm42688p.rs`, `chip/icm426xx.rs`) cites them. Without FIFO, APEX,
-//! self-test and filters, which the driver does not use: registers that are not in [`RESET_VALUES`] read zero
+//! self-test and filters, which the driver does not use: registers that are not in `RESET_VALUES` read zero
 //! and keep nothing.
 //!
 //! | what | as the datasheet has it |

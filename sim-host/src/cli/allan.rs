@@ -304,9 +304,9 @@ fn write_files(
     }
     if let Some(path) = &arguments.plot {
         let fitted = arguments.statistic() != Statistic::Modified;
-        let panels = results.iter().map(|r| {
-            plot::panel(&r.analysed.name, &r.unit, &r.points, Some(&r.analysed.fit).filter(|_| fitted))
-        });
+        let panels = results
+            .iter()
+            .map(|r| plot::panel(&r.analysed.name, &r.unit, &r.points, fitted.then_some(&r.analysed.fit)));
         let longest =
             results.iter().map(|r| r.analysed.samples as f64 / r.analysed.rate_hz).fold(0.0, f64::max);
         let heading = (

@@ -48,7 +48,7 @@ impl Ground {
 
     /// The smallest moment of inertia that steps of 1 ms can follow on these legs, kg·m².
     ///
-    /// The four dampers turn the body back by 2 c l²/I, with c = 34.7/s · m for the 1 mm of [`REST_DEPTH_M`]; friction at
+    /// The four dampers turn the body back by 2 c l²/I, with c = 34.7/s · m for the 1 mm of `REST_DEPTH_M`; friction at
     /// rest by (μ g/creep = 118/s) · m h²/I with legs of h, and about the vertical by 118/s · m l²/I. All are below
     /// 120/s · m (l² + 2h²)/I, which with this bound is 2,400/s (RK4 is stable to 2,780/s); OS4's is 600/s.
     pub fn least_inertia_kg_m2(params: &VehicleParams) -> f64 {

@@ -39,13 +39,8 @@ fn five_seconds_on_the_board_equal_the_host_bit_for_bit() {
 
     let name = WORDS_FILE.to_str().unwrap();
     let bytes = fs::read(directory.join(name)).unwrap();
-    let board: Vec<Words> = bytes
-        .chunks_exact(4 * WORDS_PER_STEP)
-        .map(|step| {
-            let word = |n: usize| u32::from_le_bytes(step[4 * n..4 * n + 4].try_into().unwrap());
-            std::array::from_fn(word)
-        })
-        .collect();
+    let words: Vec<u32> = bytes.as_chunks().0.iter().map(|word| u32::from_le_bytes(*word)).collect();
+    let board: Vec<Words> = words.as_chunks().0.to_vec();
     assert_eq!(board.len(), STEPS as usize);
     assert_eq!(bytes.len(), board.len() * 4 * WORDS_PER_STEP);
 

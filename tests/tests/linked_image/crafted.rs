@@ -3,7 +3,7 @@
 
 use crate::image::Image;
 use crate::program::Program;
-use crate::thumb::{Flow, Half, Stack, decode};
+use crate::thumb::{Condition, Flow, Half, Stack, decode};
 use crate::{FORMATTED_DEPTH, check_free_of_panics, depth};
 
 #[test]
@@ -49,8 +49,12 @@ fn instructions_that_move_sp_or_pc_are_decoded() {
     let constant = |first, second| decode(0, first, second).unwrap().constant;
     assert_eq!(constant(0xf244, 0x004c), Some((0, Half::Low, 16_460))); // movw r0, #16460
     assert_eq!(constant(0xf2c2, 0x0000), Some((0, Half::High, 8_192))); // movt r0, #8192
-    assert_eq!(decode(0, 0xbf38, 0).unwrap().conditional, 1); // it lo
-    assert_eq!(decode(0, 0xbf3f, 0).unwrap().conditional, 4); // itttt lo
+    let block = |first| decode(0, first, 0).unwrap().block.unwrap().conditions().collect::<Vec<_>>();
+    const LO: Condition = 3;
+    const HS: Condition = 2;
+    assert_eq!(block(0xbf38), [LO]); // it lo
+    assert_eq!(block(0xbf3f), [LO; 4]); // itttt lo
+    assert_eq!(block(0xbf36), [LO, HS, LO]); // itet lo
 }
 
 #[test]

@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use crate::image::Image;
-use crate::thumb::{Flow, Half, Instruction, Stack, decode};
+use crate::thumb::{Condition, Flow, Half, Instruction, Stack, decode};
 
 pub enum Callee {
     Function(u32),
@@ -29,27 +29,30 @@ pub struct Function {
     pub returns: bool,
 }
 
-/// A function's instructions by address, and whether each depends on the condition of an `it` block. What
+/// A function's instructions by address, and the condition on which each depends if it is in an `it` block. What
 /// cannot be decoded matters only if a path gets there.
-type Listing = BTreeMap<u32, (Result<Instruction, &'static str>, bool)>;
+pub type Listing = BTreeMap<u32, (Result<Instruction, &'static str>, Option<Condition>)>;
 
-fn listing(image: &Image, start: u32) -> Listing {
+pub fn listing(image: &Image, start: u32) -> Listing {
     let end = start + image.functions[&start].size;
     let mut listing = Listing::new();
     let mut address = start;
-    let mut conditional = 0;
+    // Of the next instructions, the first one's at the end.
+    let mut conditions = Vec::new();
     while address < end {
         if !image.is_code(address) {
-            conditional = 0;
+            conditions.clear();
             address += 2;
             continue;
         }
         let half_word = |address| image.half_word(address).unwrap_or(0);
         let decoded = decode(address, half_word(address), half_word(address + 2));
-        listing.insert(address, (decoded, conditional > 0));
-        let (length, block) = decoded.map_or((2, 0), |decoded| (decoded.length, decoded.conditional));
-        conditional = if block > 0 { block } else { conditional.saturating_sub(1) };
-        address += length;
+        listing.insert(address, (decoded, conditions.pop()));
+        if let Some(block) = decoded.ok().and_then(|decoded| decoded.block) {
+            conditions = block.conditions().collect();
+            conditions.reverse();
+        }
+        address += decoded.map_or(2, |decoded| decoded.length);
     }
     listing
 }
@@ -99,7 +102,7 @@ pub fn analyse(image: &Image, start: u32, returning: &BTreeSet<u32>) -> Result<F
         let fail = |why: &str| Err(format!("{} at {at:#x}: {why}", image.name(start)));
         let depth = depths[&at];
         let (instruction, conditional) = match listing.get(&at) {
-            Some((Ok(instruction), conditional)) => (instruction, *conditional),
+            Some((Ok(instruction), condition)) => (instruction, condition.is_some()),
             Some((Err(why), _)) => return fail(why),
             None => return fail("a path leaves the function's instructions"),
         };
@@ -200,7 +203,7 @@ pub fn analyse(image: &Image, start: u32, returning: &BTreeSet<u32>) -> Result<F
 /// The targets of the jump table at `table`. Literals may follow it without a mark between. So it is read
 /// until the first of its targets, or the first entry that leads to no instruction of the function. A literal
 /// that looks like one more entry adds a path and hides none.
-fn jump_table(image: &Image, listing: &Listing, table: u32, entry: u32) -> Vec<u32> {
+pub fn jump_table(image: &Image, listing: &Listing, table: u32, entry: u32) -> Vec<u32> {
     let mut targets = Vec::new();
     let mut first = u32::MAX;
     for at in (table..).step_by(entry as usize) {

@@ -64,7 +64,7 @@ impl Image {
             }
         }
         let table = bytes_of(".vector_table");
-        let mut words = table.chunks_exact(4).map(|word| u32::from_le_bytes(word.try_into().unwrap()));
+        let mut words = table.as_chunks().0.iter().map(|word| u32::from_le_bytes(*word));
         assert_eq!(words.next(), Some(stack["_stack_start"]), "the vector table's first word");
         Self {
             functions,
@@ -130,9 +130,9 @@ impl Image {
     /// Every aligned word that is data: tables, literals, initial values of variables.
     pub fn data_words(&self) -> impl Iterator<Item = u32> {
         self.sections.iter().flat_map(move |(&start, bytes)| {
-            bytes.chunks_exact(4).zip((start..).step_by(4)).filter_map(move |(word, address)| {
+            bytes.as_chunks().0.iter().zip((start..).step_by(4)).filter_map(move |(word, address)| {
                 let is_data = !self.is_code(address) || !self.is_code(address + 2);
-                is_data.then(|| u32::from_le_bytes(word.try_into().unwrap()))
+                is_data.then(|| u32::from_le_bytes(*word))
             })
         })
     }

@@ -1,7 +1,7 @@
 //! The flight board's image as it was linked: what its interrupt handlers can reach, and how much stack they
 //! take. With the default log level, errors only, and with everything logged, since that is more code.
 //!
-//! Three statements are read off the machine code, and hold for every input:
+//! Four statements are read off the machine code, and hold for every input:
 //!
 //! - **No panic can be reached from the fast loop.** From each handler in [`FAST_LOOP`], all calls are
 //!   followed. None leads to a function of [`PANICS`], none to an undefined instruction, and none goes by a
@@ -11,6 +11,10 @@
 //!   depth of the stack at each instruction; a path must come back with the stack pointer with which it
 //!   began. The deepest path of calls from reset, and from the worst handler of each priority in
 //!   [`HANDLERS`], are added up, with the registers that the processor saves at each interruption.
+//!
+//! - **Every handler takes its interrupt down on every path.** The accesses that do so are in a table, with the vectors
+//!   that need none and why; no path of the handler returns before them (`acknowledge.rs`). What has no handler of its
+//!   own goes to the default one, which never returns.
 //!
 //! - **On a desk the motor pads stay inputs.** In the image that flies at the other end of `sim-host hil --serial` no
 //!   number is an address of their port, or one from which it is reached.
@@ -32,11 +36,14 @@
 //! pair of `movw` and `movt`. An address that is computed otherwise would be missed, and the compiler makes
 //! none.
 
+mod acknowledge;
 mod crafted;
+mod crafted_handlers;
 mod function;
 mod image;
 mod program;
 mod thumb;
+mod values;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::env;
@@ -45,6 +52,7 @@ use std::path::Path;
 use std::process::Command;
 use std::sync::OnceLock;
 
+use acknowledge::{Found, NotAsserted, Source};
 use function::{Callee, Function};
 use image::Image;
 use program::{Depth, Program};
@@ -158,6 +166,44 @@ fn flash_and_ram_keep_their_budgets() {
     let image = flight_image("info");
     tests::budget("bytes", "flash", image.flash_bytes);
     tests::budget("bytes", "static RAM", image.ram_bytes);
+}
+
+#[test]
+#[ignore = "builds the firmware for the board"]
+fn every_handler_takes_its_interrupt_down_on_every_path() {
+    let named: BTreeSet<&str> = acknowledge::SOURCES.iter().map(|(name, _)| *name).collect();
+    assert_eq!(named, HANDLERS.iter().map(|(name, _)| *name).collect(), "a source for each handler");
+    for (log, image) in flight_images() {
+        let mut failures = Vec::new();
+        for (name, source) in &acknowledge::SOURCES {
+            match source {
+                Source::Acknowledged { by, unless } => {
+                    match acknowledge::check(image, name, by, *unless) {
+                        Ok(found) if unless.is_some() != found.excused => {
+                            failures.push(format!("{name}: no path needs its exception any more"));
+                        }
+                        Ok(Found { instructions, .. }) => {
+                            println!(
+                                "log {log}: {name:12} acknowledges, {instructions} instructions looked at"
+                            );
+                        }
+                        Err(why) => failures.push(why),
+                    }
+                    if let Some(NotAsserted { address, bit, why }) = unless {
+                        println!("  but for bit {bit} of {address:#x} clear: {why}");
+                    }
+                }
+                Source::ByItself(why) => println!("log {log}: {name:12} need not: {why}"),
+            }
+        }
+        assert!(failures.is_empty(), "log {log}:\n{}", failures.join("\n"));
+
+        let program = Program::new(image);
+        for name in ["DefaultHandler", "HardFault"] {
+            let function = program.function(image.find(name).unwrap()).unwrap();
+            assert!(!function.returns, "log {log}: {name} returns");
+        }
+    }
 }
 
 /// The addresses of the motor pads' port, GPIOB, and those below from which an instruction's offset (12 bits) reaches it.

@@ -51,16 +51,35 @@ pub struct Instruction {
     pub stack: Stack,
     /// `movw` or `movt`: register, which half, its value.
     pub constant: Option<(u32, Half, u32)>,
-    /// How many of the next instructions depend on a condition: that of an `it` block.
-    pub conditional: u32,
+    /// The next instructions depend on a condition: an `it` block.
+    pub block: Option<Block>,
 }
 
 const PLAIN: Instruction =
-    Instruction { length: 2, flow: Flow::Next, stack: Stack::Keep, constant: None, conditional: 0 };
+    Instruction { length: 2, flow: Flow::Next, stack: Stack::Keep, constant: None, block: None };
 
-const SP: u32 = 13;
-const LR: u32 = 14;
-const PC: u32 = 15;
+/// A condition of the flags, as it is coded: 0 is `eq`, 1 `ne`, 4 `mi`, 5 `pl`; the lowest bit turns it round.
+pub type Condition = u32;
+
+/// What an `it` says of the instructions that follow.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Block {
+    first: Condition,
+    mask: u32,
+}
+
+impl Block {
+    /// The condition of each of them: between one and four.
+    pub fn conditions(self) -> impl Iterator<Item = Condition> {
+        // The lowest bit set ends the mask; those above it are the lowest bits of the further conditions.
+        let further = (1..4 - self.mask.trailing_zeros()).map(move |n| self.mask >> (4 - n) & 1);
+        std::iter::once(self.first).chain(further.map(move |lowest| self.first & !1 | lowest))
+    }
+}
+
+pub const SP: u32 = 13;
+pub const LR: u32 = 14;
+pub const PC: u32 = 15;
 
 type Decoded = Result<Instruction, &'static str>;
 
@@ -101,7 +120,7 @@ fn writes(register: u32) -> Decoded {
     }
 }
 
-fn bit(value: u32, n: u32) -> bool {
+pub fn bit(value: u32, n: u32) -> bool {
     value >> n & 1 == 1
 }
 
@@ -140,10 +159,10 @@ fn narrow(address: u32, code: u32) -> Decoded {
         0xba if code >> 6 & 3 != 2 => PLAIN,
         0xbc => pop(code & 0xff),
         0xbd => pop(code & 0xff | 1 << PC),
-        // Hints, and it: the lowest bit set ends the mask.
+        // Hints, and it
         0xbf => match code & 15 {
             0 => PLAIN,
-            mask => Instruction { conditional: 4 - mask.trailing_zeros(), ..PLAIN },
+            mask => Instruction { block: Some(Block { first: code >> 4 & 15, mask }), ..PLAIN },
         },
         // stm, ldm of r0 to r7, based on one of them
         0xc0..=0xcf => PLAIN,
@@ -228,12 +247,12 @@ fn arithmetic(first: u32, second: u32, immediate: Option<i32>) -> Decoded {
     }
 }
 
-fn twelve_bits(first: u32, second: u32) -> u32 {
+pub fn twelve_bits(first: u32, second: u32) -> u32 {
     (first & 0x400) << 1 | second >> 4 & 0x700 | second & 0xff
 }
 
 /// A byte in one of four patterns, or a byte with its highest bit set, rotated.
-fn expanded_immediate(first: u32, second: u32) -> i32 {
+pub fn expanded_immediate(first: u32, second: u32) -> i32 {
     let coded = twelve_bits(first, second);
     let byte = coded & 0xff;
     let value = match coded >> 8 {

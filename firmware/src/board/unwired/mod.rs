@@ -45,7 +45,7 @@ mod chip;
 mod source;
 
 pub use chip::{NAME, halt};
-pub use source::{Compass, Monitor, Radio, Supply, Watchdog, config};
+pub use source::{Compass, Monitor, Radio, Supply, Watchdog};
 
 /// The emulator's TIM4 has a prescaler of 3 then, which makes it count instructions.
 const LINES: Lines = Lines::new(Protocol::Pwm { rate_hz: 400.0 });
@@ -63,6 +63,7 @@ pub fn init(mut core: cortex_m::Peripherals, device: pac::Peripherals) -> Board 
     let watchdog_reset = source::begin(&mut core.NVIC);
 
     Board {
+        config: source::config(),
         sampler: Sampler::new(Frames),
         imu: Imu,
         outputs: Outputs(()),

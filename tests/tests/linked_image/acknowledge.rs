@@ -1,0 +1,391 @@
+//! Whether each handler takes its interrupt down before it returns.
+//!
+//! A peripheral's interrupt is a level or a latch of its own: while it is up, a handler that returns is entered again
+//! at once, and no task of its priority or a lower one runs. [`SOURCES`] says for each vector which accesses to
+//! registers take it down. From the handler's first instruction every path is followed, into the functions that are
+//! called too, with what is known of the registers' values ([`crate::values`]), until the accesses have been seen in
+//! their order. A path that gets to the handler's return before is an error.
+//!
+//! # What this does not show
+//! - That the value written is right, if it is not a constant: a handler may write back the flags that it has read.
+//! - That the source stays down: it may rise again, which is what it is for.
+//! - Paths that never return: an endless loop, a panic.
+//! - Writes through the bits' alias (0x4200_0000) or by DMA. They are not seen, and so the check refuses.
+//!
+//! Calls by a register are taken to acknowledge nothing and to come back.
+
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
+
+use crate::function::{Listing, jump_table, listing};
+use crate::image::Image;
+use crate::thumb::Flow;
+use crate::values::{Access, BitRead, Registers, Value};
+
+/// What takes a vector's interrupt down.
+pub enum Source {
+    /// These accesses by the handler, in this order.
+    Acknowledged {
+        by: &'static [Step],
+        /// A path on which this was seen owes nothing.
+        unless: Option<NotAsserted>,
+    },
+    /// Nothing: and why nothing need.
+    ByItself(&'static str),
+}
+
+/// An access that is part of taking an interrupt down.
+#[derive(Clone, Copy)]
+pub struct Step {
+    pub register: &'static str,
+    pub address: u32,
+    pub kind: Kind,
+}
+
+#[derive(Clone, Copy)]
+pub enum Kind {
+    Read,
+    /// A one in these bits takes the flag down.
+    WriteOnes(u32),
+    /// A zero in these bits does.
+    WriteZeros(u32),
+}
+
+/// A flag that was read as zero: the source was not up.
+#[derive(Clone, Copy)]
+pub struct NotAsserted {
+    pub address: u32,
+    pub bit: u32,
+    pub why: &'static str,
+}
+
+const fn step(register: &'static str, address: u32, kind: Kind) -> Step {
+    Step { register, address, kind }
+}
+
+/// Every vector with a handler of its own. Register numbers and bits: RM0090, sections 10.5.3 (LIFCR), 12.3.6
+/// (EXTI_PR), 18.4.5 (TIM5_SR), 30.6.1 (USART2_SR).
+pub const SOURCES: [(&str, Source); 8] = [
+    ("CRYP", Source::ByItself("software pends it; the F405 has no such peripheral")),
+    ("DCMI", Source::ByItself("software pends it; the F405 has no such peripheral")),
+    ("HASH_RNG", Source::ByItself("software pends it; the random number generator is off")),
+    (
+        "SysTick",
+        Source::ByItself("an exception of the processor, which is no longer pending once it is entered"),
+    ),
+    (
+        "DMA2_STREAM0",
+        Source::Acknowledged {
+            // The flag of a complete transfer. That of an error goes with the same write, or with another one.
+            by: &[step("DMA2_LIFCR", 0x4002_6408, Kind::WriteOnes(1 << 5))],
+            unless: None,
+        },
+    ),
+    (
+        "EXTI4",
+        Source::Acknowledged { by: &[step("EXTI_PR", 0x4001_3c14, Kind::WriteOnes(1 << 4))], unless: None },
+    ),
+    (
+        "TIM5",
+        Source::Acknowledged { by: &[step("TIM5_SR", 0x4000_0c10, Kind::WriteZeros(1 << 1))], unless: None },
+    ),
+    (
+        "USART2",
+        Source::Acknowledged {
+            by: &[step("USART2_SR", 0x4000_4400, Kind::Read), step("USART2_DR", 0x4000_4404, Kind::Read)],
+            unless: None,
+        },
+    ),
+];
+
+impl Step {
+    fn is_done_by(&self, access: Access) -> bool {
+        match (self.kind, access) {
+            _ if access.address() != self.address => false,
+            (Kind::Read, Access::Read(_)) => true,
+            (Kind::WriteOnes(bits), Access::Write(_, Value::Known(value))) => value & bits == bits,
+            (Kind::WriteZeros(bits), Access::Write(_, Value::Known(value))) => value & bits == 0,
+            // Not a constant.
+            (Kind::WriteOnes(_) | Kind::WriteZeros(_), Access::Write(..)) => true,
+            _ => false,
+        }
+    }
+
+    fn describe(&self) -> String {
+        let Self { register, address, kind } = self;
+        match kind {
+            Kind::Read => format!("a read of {register} ({address:#010x})"),
+            Kind::WriteOnes(bits) => format!("a write of {bits:#x} to {register} ({address:#010x})"),
+            Kind::WriteZeros(bits) => {
+                format!("a write to {register} ({address:#010x}) that has no {bits:#x} in it")
+            }
+        }
+    }
+}
+
+/// How deep calls may be nested on the way to the acknowledgement.
+const DEEPEST: usize = 24;
+/// More places than this are not looked at: the handlers acknowledge within some dozens of instructions.
+const MOST_PLACES: usize = 1_000_000;
+
+/// What a path has done so far.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+struct Progress {
+    /// It has accessed the peripheral. Such a path says more about what is wrong than one that has not.
+    touched: bool,
+    /// Steps that are done.
+    steps: usize,
+}
+
+/// A point of a path: an instruction, and the point before.
+struct Place {
+    before: Option<usize>,
+    /// The start of the instruction's function.
+    function: u32,
+    at: u32,
+    /// The next instruction's address.
+    next: u32,
+    accesses: Vec<Access>,
+}
+
+/// A path under way: what comes next, and what is known there.
+#[derive(Clone)]
+struct Way {
+    at: u32,
+    progress: Progress,
+    registers: Registers,
+    /// The place before.
+    before: Option<usize>,
+}
+
+/// Where the ways from one instruction lead.
+#[derive(Default)]
+struct Ways {
+    within: Vec<Way>,
+    /// To the start of a function, and whether it is called (or jumped to, so that its return is this one's).
+    calls: Vec<(Way, bool)>,
+    returns: Vec<(Progress, usize)>,
+}
+
+struct Search<'a> {
+    image: &'a Image,
+    steps: &'a [Step],
+    unless: Option<NotAsserted>,
+    places: Vec<Place>,
+    excused: bool,
+}
+
+/// What the acknowledgement was found by.
+#[derive(Debug, PartialEq)]
+pub struct Found {
+    /// Instructions that were looked at; one counts again if it was looked at again.
+    pub instructions: usize,
+    /// A path was let pass because its flag was not up.
+    pub excused: bool,
+}
+
+/// Follows every path of the handler called `name`.
+///
+/// # Errors
+/// One of them returns without the accesses that take the interrupt down, or is not understood.
+pub fn check(image: &Image, name: &str, by: &[Step], unless: Option<NotAsserted>) -> Result<Found, String> {
+    let start = image.find(name).ok_or(format!("{name} is not in the image"))?;
+    let mut search = Search { image, steps: by, unless, places: Vec::new(), excused: false };
+    let progress = Progress { touched: false, steps: 0 };
+    let way = Way { at: start, progress, registers: Registers::unknown(), before: None };
+    match search.function(way, 0)?.last_key_value() {
+        None => Ok(Found { instructions: search.places.len(), excused: search.excused }),
+        Some((progress, &place)) => {
+            let missing = by[progress.steps].describe();
+            Err(format!("{name} can return without {missing}:\n{}", search.describe(place)))
+        }
+    }
+}
+
+impl Search<'_> {
+    /// Follows all paths of the function at the way's end. Returns those that come back before the last step, one for
+    /// each progress, with the place of the return.
+    fn function(&mut self, way: Way, depth: usize) -> Result<BTreeMap<Progress, usize>, String> {
+        let start = way.at;
+        if depth > DEEPEST {
+            return Err(format!("{}: calls are nested too deep", self.image.name(start)));
+        }
+        let listing = listing(self.image, start);
+        let mut returns = BTreeMap::new();
+        // What holds on all paths that get to an instruction with the same progress.
+        let mut known: BTreeMap<(u32, Progress), Way> = BTreeMap::new();
+        let mut open = VecDeque::new();
+        let mut waiting = BTreeSet::new();
+        let mut arrived = vec![way];
+        loop {
+            for way in arrived {
+                let key = (way.at, way.progress);
+                let is_new = match known.get_mut(&key) {
+                    None => {
+                        known.insert(key, way);
+                        true
+                    }
+                    Some(before) => {
+                        let joined = before.registers.join(&way.registers);
+                        let is_new = joined != before.registers;
+                        before.registers = joined;
+                        is_new
+                    }
+                };
+                if is_new && waiting.insert(key) {
+                    open.push_back(key);
+                }
+            }
+            let Some(key) = open.pop_front() else { break Ok(returns) };
+            waiting.remove(&key);
+            let way = known[&key].clone();
+            let at = way.at;
+            let fail = |why: &str| format!("{} at {at:#x}: {why}", self.image.name(start));
+            let mut ways = self.instruction(&listing, start, way).map_err(|why| fail(&why))?;
+            for (way, comes_back) in std::mem::take(&mut ways.calls) {
+                if !self.image.functions.contains_key(&way.at) {
+                    return Err(format!("{} at {at:#x}: goes to no function", self.image.name(start)));
+                }
+                let mut registers = way.registers.clone();
+                registers.forget_volatile();
+                for (progress, place) in self.function(way, depth + 1)? {
+                    if comes_back {
+                        let (registers, before) = (registers.clone(), Some(place));
+                        ways.within.push(Way { at: at + 4, progress, registers, before });
+                    } else {
+                        ways.returns.push((progress, place));
+                    }
+                }
+            }
+            for (progress, place) in ways.returns {
+                returns.entry(progress).or_insert(place);
+            }
+            arrived = ways.within;
+        }
+    }
+
+    /// Executes the instruction at the way's end.
+    fn instruction(&mut self, listing: &Listing, start: u32, way: Way) -> Result<Ways, String> {
+        let Way { at, progress, registers, before } = way;
+        let (instruction, condition) = match listing.get(&at) {
+            Some((Ok(instruction), condition)) => (instruction, *condition),
+            Some((Err(why), _)) => return Err((*why).into()),
+            None => return Err("a path leaves the function's instructions".into()),
+        };
+        if self.places.len() >= MOST_PLACES {
+            return Err("too many paths".into());
+        }
+        let here = self.places.len();
+        let next = at + instruction.length;
+        self.places.push(Place { before, function: start, at, next, accesses: Vec::new() });
+        let mut ways = Ways::default();
+
+        if let Some(condition) = condition {
+            // The lowest bit turns a condition round.
+            if !self.is_excuse(registers.bit_if(condition ^ 1)) {
+                let registers = registers.clone();
+                ways.within.push(Way { at: next, progress, registers, before: Some(here) });
+            }
+            if self.is_excuse(registers.bit_if(condition)) {
+                return Ok(ways);
+            }
+        }
+
+        let mut after = registers;
+        let accesses = after.execute(self.image, at, condition.is_some());
+        let mut progress = progress;
+        for &access in &accesses {
+            progress.touched |= self.is_of_peripheral(access);
+            if self.steps[progress.steps].is_done_by(access) {
+                progress.steps += 1;
+                if progress.steps == self.steps.len() {
+                    // This path owes nothing more.
+                    return Ok(ways);
+                }
+            }
+        }
+        self.places[here].accesses = accesses;
+
+        let to = |at| Way { at, progress, registers: after.clone(), before: Some(here) };
+        let mut jumps = Vec::new();
+        let half_word = |address| self.image.half_word(address).unwrap_or(0);
+        match instruction.flow {
+            Flow::Next => ways.within.push(to(next)),
+            Flow::Jump(target) => jumps.push(target),
+            Flow::Branch(target) => {
+                let taken = after.bit_if_taken(half_word(at), half_word(at + 2));
+                if !self.is_excuse(taken.map(BitRead::opposite)) {
+                    ways.within.push(to(next));
+                }
+                if !self.is_excuse(taken) {
+                    jumps.push(target);
+                }
+            }
+            Flow::JumpTable { entry } => {
+                jumps = jump_table(self.image, listing, next, entry);
+                if jumps.is_empty() {
+                    return Err("a jump table that is not understood".into());
+                }
+            }
+            Flow::Call(target) => ways.calls.push((to(target), true)),
+            Flow::CallRegister => {
+                let mut way = to(next);
+                way.registers.forget_volatile();
+                ways.within.push(way);
+            }
+            Flow::JumpRegister | Flow::Return => ways.returns.push((progress, here)),
+            Flow::Trap => {}
+        }
+        for target in jumps {
+            if listing.contains_key(&target) {
+                ways.within.push(to(target));
+            } else {
+                ways.calls.push((to(target), false));
+            }
+        }
+        Ok(ways)
+    }
+
+    /// Whether this says that the source was not up, and the path owes nothing.
+    fn is_excuse(&mut self, read: Option<BitRead>) -> bool {
+        let is_excuse = self.unless.zip(read).is_some_and(|(unless, read)| {
+            !read.set && (read.address, read.bit) == (unless.address, unless.bit)
+        });
+        self.excused |= is_excuse;
+        is_excuse
+    }
+
+    /// Whether the access is to the peripheral of the first step: each has a kilobyte.
+    fn is_of_peripheral(&self, access: Access) -> bool {
+        access.address() >> 10 == self.steps[0].address >> 10
+    }
+
+    /// The path to its end: each stretch without a jump, and what it accesses in the peripheral.
+    fn describe(&self, place: usize) -> String {
+        let mut path: Vec<&Place> =
+            std::iter::successors(Some(&self.places[place]), |place| Some(&self.places[place.before?]))
+                .collect();
+        path.reverse();
+        let follows = |one: &&Place, other: &&Place| one.function == other.function && one.next == other.at;
+        let line = |stretch: &[&Place]| {
+            let (first, last) = (stretch[0], stretch[stretch.len() - 1]);
+            let name = self.image.name(first.function);
+            let accesses = stretch.iter().flat_map(|place| &place.accesses);
+            let accesses: String = accesses
+                .filter(|access| self.is_of_peripheral(**access))
+                .map(|access| match access {
+                    Access::Read(address) => format!(", reads {address:#010x}"),
+                    Access::Write(address, _) => format!(", writes {address:#010x}"),
+                })
+                .collect();
+            format!("  {:#010x} to {:#010x} {name}{accesses}", first.at, last.at)
+        };
+        let mut lines: Vec<String> = path.chunk_by(follows).map(line).collect();
+        // Where it leaves the other paths says more than the way to the return.
+        const SHOWN: usize = 12;
+        if lines.len() > SHOWN {
+            let left_out = lines.len() - SHOWN;
+            lines.splice(SHOWN - 1..lines.len() - 1, [format!("  ... {left_out} stretches more ...")]);
+        }
+        lines.join("\n")
+    }
+}
