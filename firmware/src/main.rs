@@ -55,8 +55,6 @@ mod tally;
 mod watch;
 
 use defmt_rtt as _;
-#[cfg(not(feature = "qemu"))]
-use panic_probe as _;
 #[cfg(feature = "qemu")]
 use panic_semihosting as _;
 

@@ -55,6 +55,10 @@ pub struct Tally {
     pub unreadable: Count,
     /// Longest time from what woke `flight` to its end, µs.
     pub longest_us: Count,
+    /// Steps whose pulses were not sent, because the last ones were on their way.
+    pub outputs_dropped: Count,
+    /// Pulses that hung or were cut, so that the outputs were set up anew.
+    pub outputs_recovered: Count,
     /// Magnetometer samples.
     pub mag: Count,
     /// Accesses to the magnetometer that failed.
@@ -78,6 +82,8 @@ pub static TALLY: Tally = Tally {
     invalid: Count::new(),
     unreadable: Count::new(),
     longest_us: Count::new(),
+    outputs_dropped: Count::new(),
+    outputs_recovered: Count::new(),
     mag: Count::new(),
     mag_errors: Count::new(),
     rc: Count::new(),
@@ -91,8 +97,8 @@ impl Tally {
     pub fn log(&self, missed: u32) {
         defmt::info!(
             "imu lost {=u32} polled {=u32} late {=u32} repeated {=u32} invalid {=u32} unreadable {=u32}, flight {=u32} us, \
-             mag {=u32} errors {=u32}, rc {=u32} bad {=u32}, battery {=u32} mV, \
-             delayed {=u32} missed {=u32}",
+             outputs dropped {=u32} recovered {=u32}, mag {=u32} errors {=u32}, rc {=u32} bad {=u32}, \
+             battery {=u32} mV, delayed {=u32} missed {=u32}",
             self.lost.take(),
             self.polled.take(),
             self.late.take(),
@@ -100,6 +106,8 @@ impl Tally {
             self.invalid.take(),
             self.unreadable.take(),
             self.longest_us.take(),
+            self.outputs_dropped.take(),
+            self.outputs_recovered.take(),
             self.mag.take(),
             self.mag_errors.take(),
             self.rc.take(),

@@ -353,8 +353,8 @@ mod tests {
 
     /// The record with its numbers as bits, so that NaNs compare.
     fn bits(record: &StepRecord) -> impl PartialEq + fmt::Debug {
-        let StepRecord { time_us, imu, mag, rc, battery, health, driven, pulses_us, state, event, attitude } =
-            *record;
+        let StepRecord { time_us, imu, mag, rc, battery, health, outcome } = *record;
+        let Outcome { driven, pulses_us, state, event, attitude } = outcome;
         let Quaternion { w, v } = attitude;
         (
             (time_us, imu, mag, rc, battery.map(|battery| battery.voltage_v.to_bits()), health),

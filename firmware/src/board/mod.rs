@@ -14,8 +14,8 @@
 //! | `Watchdog::feed()` | another period |
 //! | `Monitor::show(&Step)` | what the board shows of a step: a light, or a record |
 //! | `now_us() -> u32` | free-running microseconds |
-//! | `stop_outputs()` | `Outputs::stop` for a fault, when nothing else runs any more |
-//! | `halt() -> !` | the end, after a fault |
+//! | `stop_after_fault()` | the stop on all four, when nothing else runs any more, whatever state the outputs are in |
+//! | `halt() -> !` | the end, after a fault; the stop goes on |
 //!
 //! # Waking the tasks
 //! RTIC binds a task to one interrupt vector, and takes no vector that depends on the board. So the flight task

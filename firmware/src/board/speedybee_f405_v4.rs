@@ -44,7 +44,7 @@ use crate::pilot::Pilot;
 use crate::sampling;
 use crate::stm32f405::burst::{self, ImuBus, ImuSpi};
 use crate::stm32f405::bus::{self, Bus};
-use crate::stm32f405::esc::Lines;
+use crate::stm32f405::esc::{Lines, Sent};
 pub use crate::stm32f405::port::Ear;
 use crate::stm32f405::port::{self, Bytes, Port};
 use crate::stm32f405::reset::Cause;
@@ -56,8 +56,18 @@ use crate::tally::TALLY;
 /// The board's name.
 pub const NAME: &str = "SpeedyBee F405 V4";
 
-/// What the ESCs are driven with: to be chosen for the ESC (`docs/hardware.md`).
-const ESC: Protocol = Protocol::Pwm { rate_hz: 400.0 };
+/// What the ESCs are driven with: to be chosen for the ESC, by the variable `KESTREL_ESC` at build time
+/// (`docs/hardware.md`). The ESC that is sold with this board is specified for DShot300 and DShot600.
+const ESC: Protocol = match option_env!("KESTREL_ESC") {
+    None => Protocol::DShot300,
+    Some(name) => match name.as_bytes() {
+        b"pwm" => Protocol::Pwm { rate_hz: 400.0 },
+        b"oneshot125" => Protocol::OneShot125,
+        b"dshot300" => Protocol::DShot300,
+        b"dshot600" => Protocol::DShot600,
+        _ => panic!("KESTREL_ESC is pwm, oneshot125, dshot300 or dshot600"),
+    },
+};
 
 /// Divider from the battery to its pin, and the pin's ADC channel.
 const BATTERY_RATIO: f32 = 11.0;
@@ -103,27 +113,35 @@ fn config() -> Config {
     }
 }
 
-/// Brings the board up: clocks, then the stop pulse on the outputs, then everything else.
+/// Brings the board up: the motor pads low, the watchdog, clocks, the stop on the outputs, then everything else.
 pub fn init(mut core: cortex_m::Peripherals, device: pac::Peripherals) -> Board {
+    // The pads float after a reset, and what an ESC makes of that is its affair. The pull-downs stay for ever: a timer
+    // that is being set up anew does not drive its pads.
+    let mut rcc = device.RCC.constrain();
+    let gpiob = device.GPIOB.split(&mut rcc);
+    let (m1, m2) = (gpiob.pb6.into_pull_down_input(), gpiob.pb7.into_pull_down_input());
+    let (m3, m4) = (gpiob.pb0.into_pull_down_input(), gpiob.pb1.into_pull_down_input());
+
     let watchdog = Watchdog::start(device.IWDG);
     let clocks = rcc::Config::hse(8.MHz()).sysclk(168.MHz()).hclk(168.MHz()).pclk1(42.MHz()).pclk2(84.MHz());
-    let mut rcc = device.RCC.freeze(clocks);
+    let mut rcc = rcc.freeze(clocks);
     let reset = Cause::take(&mut rcc);
     let gpioa = device.GPIOA.split(&mut rcc);
-    let gpiob = device.GPIOB.split(&mut rcc);
     let gpioc = device.GPIOC.split(&mut rcc);
 
     TIM3::enable(&mut rcc);
     TIM4::enable(&mut rcc);
     pac::DMA1::enable(&mut rcc);
     LINES.start();
-    gpiob.pb6.into_alternate::<2>();
-    gpiob.pb7.into_alternate::<2>();
-    gpiob.pb0.into_alternate::<2>();
-    gpiob.pb1.into_alternate::<2>();
+    // Edges of 20 ns: a 0 of DShot600 is high for 625.
+    m1.into_alternate::<2>().set_speed(Speed::Medium);
+    m2.into_alternate::<2>().set_speed(Speed::Medium);
+    m3.into_alternate::<2>().set_speed(Speed::Medium);
+    m4.into_alternate::<2>().set_speed(Speed::Medium);
 
-    // While a debug probe halts the core, the pulses stop too, and without pulses an ESC stops its motor; and the
-    // watchdog waits. And the probe can read the log while the core sleeps.
+    // While a debug probe halts the core, the timers stand, and without frames or pulses an ESC stops its motor. A pad
+    // that is high then stays high until the core goes on (docs/hardware.md). The watchdog waits. And the probe can
+    // read the log while the core sleeps.
     device
         .DBGMCU
         .apb1_fz()
@@ -327,7 +345,7 @@ impl Outputs {
     /// Sends the stop pulse to all four.
     #[inline]
     pub fn stop(&mut self) {
-        stop_outputs();
+        send([STOP_US; 4]);
     }
 }
 
@@ -335,20 +353,62 @@ impl Outputs {
 /// the rear left and 4 at the front left; rotors are counted clockwise from the front left.
 #[inline]
 fn send([front_left, front_right, rear_right, rear_left]: [f32; 4]) {
-    LINES.send([rear_right, front_right, rear_left, front_left]);
-}
-
-/// [`Outputs::stop`], from a fault: what follows is done by hardware alone.
-pub fn stop_outputs() {
-    send([STOP_US; 4]);
-}
-
-/// Stays here until the watchdog resets the board; until then PWM goes on with the stop pulse, and the other
-/// protocols are silent.
-pub fn halt() -> ! {
-    loop {
-        cortex_m::asm::nop();
+    match LINES.send([rear_right, front_right, rear_left, front_left]) {
+        Sent::Whole => {}
+        Sent::Dropped => TALLY.outputs_dropped.add(),
+        Sent::Recovered => TALLY.outputs_recovered.add(),
     }
+}
+
+/// Puts the stop on the motor pads after a fault, in whatever state it has found them. [`crate::stm32f405::esc`] says
+/// how long that takes.
+pub fn stop_after_fault() {
+    // SAFETY: the clocks of a port that nothing else uses any more.
+    unsafe { pac::GPIOB::enable_unchecked() };
+    // SAFETY: it is only read.
+    let on_pll = unsafe { &*pac::RCC::ptr() }.cfgr().read().sws().is_pll();
+    if on_pll {
+        LINES.settle(pads_are_low);
+        connect_pads();
+        send([STOP_US; 4]);
+    } else {
+        // A fault before the clocks are set up. Since the reset nothing has been sent, and with this clock nothing can
+        // be: the pads stay low.
+        pull_pads_down();
+    }
+}
+
+/// After [`stop_after_fault`]: stays here until the watchdog resets the board, and goes on sending the stop.
+pub fn halt() -> ! {
+    LINES.stop_for_ever()
+}
+
+fn pads() -> &'static pac::gpiob::RegisterBlock {
+    // SAFETY: after a fault nothing else uses the port, and until then this only reads.
+    unsafe { &*pac::GPIOB::ptr() }
+}
+
+fn pads_are_low() -> bool {
+    let levels = pads().idr().read();
+    levels.idr0().is_low() && levels.idr1().is_low() && levels.idr6().is_low() && levels.idr7().is_low()
+}
+
+/// As [`init`] leaves them: to the timers, pulled down.
+fn connect_pads() {
+    pads()
+        .pupdr()
+        .modify(|_, w| w.pupdr0().pull_down().pupdr1().pull_down().pupdr6().pull_down().pupdr7().pull_down());
+    pads().afrl().modify(|_, w| w.afrl0().af2().afrl1().af2().afrl6().af2().afrl7().af2());
+    pads()
+        .moder()
+        .modify(|_, w| w.moder0().alternate().moder1().alternate().moder6().alternate().moder7().alternate());
+}
+
+fn pull_pads_down() {
+    pads()
+        .pupdr()
+        .modify(|_, w| w.pupdr0().pull_down().pupdr1().pull_down().pupdr6().pull_down().pupdr7().pull_down());
+    pads().moder().modify(|_, w| w.moder0().input().moder1().input().moder6().input().moder7().input());
 }
 
 /// The light.

@@ -2,7 +2,7 @@
 //!
 //! | module | what | waits |
 //! |---|---|---|
-//! | [`esc`] | four outputs by TIM3 and TIM4, and DMA1 streams 2 and 6 | up to 3 µs |
+//! | [`esc`] | four outputs by TIM3 and TIM4, and DMA1 streams 2 and 6 | with PWM up to 3 µs |
 //! | [`burst`] | the inertial sensor by SPI1, and DMA2 streams 0 and 3 | no |
 //! | [`bus`] | I2C1, for sensors that may not be there | until the run's time is up |
 //! | [`port`] | the receiver by USART2 | no |

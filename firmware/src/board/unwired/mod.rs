@@ -169,7 +169,8 @@ static DRIVEN: AtomicBool = AtomicBool::new(false);
 #[inline]
 fn send(driven: bool, pulses_us: [f32; 4]) {
     let [front_left, front_right, rear_right, rear_left] = pulses_us;
-    LINES.send([rear_right, front_right, rear_left, front_left]);
+    // PWM takes every pulse.
+    let _ = LINES.send([rear_right, front_right, rear_left, front_left]);
     WRITTEN.store(chip::instructions(), Ordering::Relaxed);
     DRIVEN.store(driven, Ordering::Relaxed);
     for (sent, us) in SENT.iter().zip(pulses_us) {
@@ -190,12 +191,12 @@ impl Outputs {
     /// Sends the stop pulse to all four.
     #[inline]
     pub fn stop(&mut self) {
-        stop_outputs();
+        send(false, [STOP_US; 4]);
     }
 }
 
 /// [`Outputs::stop`], from a fault.
-pub fn stop_outputs() {
+pub fn stop_after_fault() {
     send(false, [STOP_US; 4]);
 }
 
