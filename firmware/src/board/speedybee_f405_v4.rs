@@ -47,6 +47,7 @@ use crate::stm32f405::bus::{self, Bus};
 use crate::stm32f405::esc::{Lines, Sent};
 pub use crate::stm32f405::port::Ear;
 use crate::stm32f405::port::{self, Bytes, Port};
+use crate::stm32f405::power::{self, Failure};
 use crate::stm32f405::reset::Cause;
 pub use crate::stm32f405::reset::Watchdog;
 pub use crate::stm32f405::supply::Supply;
@@ -123,8 +124,10 @@ pub fn init(mut core: cortex_m::Peripherals, device: pac::Peripherals) -> Board 
     let (m3, m4) = (gpiob.pb0.into_pull_down_input(), gpiob.pb1.into_pull_down_input());
 
     let watchdog = Watchdog::start(device.IWDG);
+    power::wait_for_supply(&device.PWR, &mut rcc);
     let clocks = rcc::Config::hse(8.MHz()).sysclk(168.MHz()).hclk(168.MHz()).pclk1(42.MHz()).pclk2(84.MHz());
     let mut rcc = rcc.freeze(clocks);
+    power::watch_crystal(&mut rcc);
     let reset = Cause::take(&mut rcc);
     let gpioa = device.GPIOA.split(&mut rcc);
     let gpioc = device.GPIOC.split(&mut rcc);
@@ -157,6 +160,13 @@ pub fn init(mut core: cortex_m::Peripherals, device: pac::Peripherals) -> Board 
     device.TIM5.egr().write(|w| w.ug().set_bit());
     device.TIM5.cr1().write(|w| w.cen().set_bit());
 
+    if let Some(failure) = Failure::take() {
+        defmt::error!("before the reset the motors were stopped: {=str}", failure.name());
+    }
+    if power::brown_out_reset_is_off(&device.FLASH) {
+        defmt::warn!("the brown-out reset is not set");
+    }
+
     let spi = Spi::new(
         device.SPI1,
         (
@@ -186,6 +196,7 @@ pub fn init(mut core: cortex_m::Peripherals, device: pac::Peripherals) -> Board 
     let compass = Compass(crate::compass::Compass::new(bus));
 
     let mut exti = device.EXTI;
+    power::watch_supply(&device.PWR, &exti, &mut core.NVIC);
     let mut data_ready = gpioc.pc4.into_pull_down_input();
     data_ready.make_interrupt_source(&mut device.SYSCFG.constrain(&mut rcc));
     data_ready.trigger_on_edge(&mut exti, Edge::Rising);
@@ -372,8 +383,8 @@ pub fn stop_after_fault() {
         connect_pads();
         send([STOP_US; 4]);
     } else {
-        // A fault before the clocks are set up. Since the reset nothing has been sent, and with this clock nothing can
-        // be: the pads stay low.
+        // A fault before the clocks are set up, or the crystal has failed. With this clock nothing can be sent: the
+        // pads are low.
         pull_pads_down();
     }
 }
