@@ -76,18 +76,28 @@ const BATTERY_CHANNEL: u8 = 10;
 
 const LINES: Lines = Lines::new(ESC);
 
+/// How the inertial sensor is soldered to this board: its x points right, its y forward, its z up. A row says what a
+/// body axis (forward, right, down) reads of the chip's axes.
+const IMU_MOUNTING: Mat3<f32> =
+    Mat3 { rows: [vec3(0.0, 1.0, 0.0), vec3(1.0, 0.0, 0.0), vec3(0.0, 0.0, -1.0)] };
+
+/// How the magnetometer is mounted on the vehicle, likewise. To be set for the vehicle: `docs/hardware.md` says how to
+/// find it out, and how to check it. As it stands here: the chip's x forward, its y to the right, its z down.
+const MAG_MOUNTING: Mat3<f32> =
+    Mat3 { rows: [vec3(1.0, 0.0, 0.0), vec3(0.0, 1.0, 0.0), vec3(0.0, 0.0, 1.0)] };
+
 unsafe extern "C" {
     /// The parameter sectors (memory.x): flash, which nothing in this image writes to.
     safe static STORED_CONFIG: [u8; MAX_RECORD];
 }
 
 /// What the board has and what a vehicle without a stored configuration flies with: datasheet sensitivities, and the
-/// inertial sensor turned as it is on this board, with its x to the right, its y forward, its z up.
+/// sensors turned as they are mounted.
 fn params() -> Params {
     let mut params = Params::default();
-    let mounting = Mat3 { rows: [vec3(0.0, 1.0, 0.0), vec3(1.0, 0.0, 0.0), vec3(0.0, 0.0, -1.0)] };
-    params.gyro = Sensitivity { mounting, ..params.gyro };
-    params.accel = Sensitivity { mounting, ..params.accel };
+    params.gyro = Sensitivity { mounting: IMU_MOUNTING, ..params.gyro };
+    params.accel = Sensitivity { mounting: IMU_MOUNTING, ..params.accel };
+    params.mag = Sensitivity { mounting: MAG_MOUNTING, ..params.mag };
     params
 }
 
@@ -98,7 +108,9 @@ fn params() -> Params {
 fn config() -> Config {
     let params = params();
     match stored::read(&STORED_CONFIG, &params) {
-        Ok(config) => {
+        Ok(mut config) => {
+            // A record is made of a scene, which knows of no mounting.
+            config.params.mag.mounting = MAG_MOUNTING;
             defmt::info!("configuration: stored, calibrated {=bool}", config.calibration.is_some());
             config
         }
