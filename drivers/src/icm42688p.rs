@@ -7,9 +7,13 @@
 //! 500 Hz that a rate of 1 kHz would fold down; user filters at their default (second order, a quarter of the
 //! output rate); a data-ready pulse on INT1.
 //!
+//! # Set-up
+//! [`Setup`] sets the sensor up in steps that do not wait, so that it can be done in flight, and tries again until
+//! it succeeds; [`Recovery`] says when it must be done again.
+//!
 //! # Sampling by DMA
-//! [`Icm42688p::new`] needs a bus that waits; after it the board may send [`BURST`] by itself whenever the
-//! data-ready line rises, and hand what comes back to [`decode`].
+//! Once the sensor is set up, the board may send [`BURST`] by itself whenever the data-ready line rises, and hand
+//! what comes back to [`decode`].
 //!
 //! ```text
 //!      0 µs      the chip has a sample: line up, DATA_RDY_INT set
@@ -24,7 +28,8 @@
 //! What a frame cannot say is whether a sample landed between its bytes. The datasheet does not promise that
 //! the registers stand still during a burst, so some bytes may be older than the rest. That takes a data-ready
 //! edge between the start of the burst and its end: the board looks, and says so to [`decode`]. A burst that
-//! starts within 980 µs of its edge is safe.
+//! starts within 980 µs of its edge is safe. A burst that starts without an edge (the line is broken, and the board
+//! reads by its own clock) may tear a sample unnoticed: 13 of 1,000 µs are exposed to that.
 //!
 //! SPI has no checksum. A bit that flips on the way is not noticed here.
 //!
@@ -33,9 +38,15 @@
 //! packets from the FIFO only, `ShenMian/icm42688p-rs` 0.1 reads register by register, and none judges what
 //! it reads.
 
+mod recovery;
+mod setup;
+
 use embedded_hal::delay::DelayNs;
 use embedded_hal::spi::SpiDevice;
 use flight_core::sample::ImuSample;
+
+pub use recovery::Recovery;
+pub use setup::{Progress, Setup, SetupError};
 
 /// A register of one of the sensor's banks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -77,52 +88,12 @@ const ACCEL_CONFIG_STATIC4: Register = bank2(0x05);
 const REG_BANK_SEL: u8 = 0x76;
 /// Set in the address byte of a read.
 const READ: u8 = 0x80;
-/// What WHO_AM_I reads.
-const IDENTITY: u8 = 0x47;
-
 /// INT_STATUS: there is a sample that was not there when this register was last read.
 const DATA_RDY_INT: u8 = 0x08;
 /// INT_STATUS: the chip has reset since this register was last read.
 const RESET_DONE_INT: u8 = 0x10;
 /// INT_STATUS: a bit that the chip never sets.
 const RESERVED: u8 = 0x80;
-
-/// Anti-alias filter at 258 Hz (section 5.3).
-const AAF_DELT: u8 = 6;
-const AAF_DELTSQR: u16 = 36;
-const AAF_BITSHIFT: u8 = 10;
-
-/// Settings that are written as a whole, in this order, with both sensors off.
-const SETTINGS: [(Register, u8); 12] = [
-    // Only SPI is listened to; data most significant byte first; invalid data is marked as such.
-    (INTF_CONFIG0, 0x33),
-    (GYRO_CONFIG_STATIC3, AAF_DELT),
-    (GYRO_CONFIG_STATIC4, AAF_DELTSQR as u8),
-    (GYRO_CONFIG_STATIC5, AAF_BITSHIFT << 4 | (AAF_DELTSQR >> 8) as u8),
-    // Bit 0 clear: the filter is on.
-    (ACCEL_CONFIG_STATIC2, AAF_DELT << 1),
-    (ACCEL_CONFIG_STATIC3, AAF_DELTSQR as u8),
-    (ACCEL_CONFIG_STATIC4, AAF_BITSHIFT << 4 | (AAF_DELTSQR >> 8) as u8),
-    // Full scale 0: ±2,000 °/s, ±16 g; data rate 6: 1 kHz.
-    (GYRO_CONFIG0, 0x06),
-    (ACCEL_CONFIG0, 0x06),
-    // INT1 pulsed, push-pull, active high.
-    (INT_CONFIG, 0b011),
-    // INT_ASYNC_RESET is set after a reset, and must be cleared for INT1 to work.
-    (INT_CONFIG1, 0x00),
-    // Data ready goes to INT1, and nothing else.
-    (INT_SOURCE0, 0x08),
-];
-
-/// Both sensors in low-noise mode.
-const BOTH_LOW_NOISE: u8 = 0x0f;
-
-/// The set-up counts the samples of this many looks, 100 µs apart, ...
-const RATE_LOOKS: u32 = 200;
-const RATE_LOOK_US: u32 = 100;
-/// ... which must be 20, but for the time that the looks themselves take and for the chip's own clock. The
-/// next rates that the chip has are half and twice this one.
-const RATE_SAMPLES: core::ops::RangeInclusive<u32> = 16..=24;
 
 /// Bytes of a burst: the address, twelve of data, two of a time that is not used, INT_STATUS.
 pub const FRAME_LEN: usize = 16;
@@ -144,35 +115,6 @@ const _: () = assert!(STATUS_AT == FRAME_LEN - 1);
 /// The smallest count that is a measurement. −32,768 is what the registers hold until the first sample, and
 /// −32,767 marks invalid data too: a saturated axis ends at −32,766 (INTF_CONFIG0, FIFO_HOLD_LAST_DATA_EN clear).
 const LOWEST_VALID: i16 = -32_766;
-
-/// Why the sensor could not be set up.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum SetupError<E> {
-    /// The bus failed.
-    Bus(E),
-    /// Another chip answers, or none.
-    Identity(u8),
-    /// The chip did not reset when told to.
-    NotReset,
-    /// A register does not hold what was written to it.
-    NotKept {
-        /// Bank of the register.
-        bank: u8,
-        /// Address of the register.
-        address: u8,
-    },
-    /// Samples do not come at 1 kHz.
-    Rate {
-        /// Samples in about 20 ms.
-        samples: u32,
-    },
-}
-
-impl<E> From<E> for SetupError<E> {
-    fn from(error: E) -> Self {
-        Self::Bus(error)
-    }
-}
 
 /// Why a frame holds no new sample.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -216,54 +158,35 @@ pub fn decode(frame: &Frame, risen: bool) -> Result<ImuSample, FrameError> {
     if risen { Err(FrameError::Torn) } else { Ok(sample) }
 }
 
-/// The sensor, set up and sampling.
+/// The sensor, set up and sampling, on a bus that waits: what a test, or a board that does nothing else, takes.
 pub struct Icm42688p<SPI> {
     spi: SPI,
 }
 
 impl<SPI: SpiDevice> Icm42688p<SPI> {
-    /// Resets the sensor, sets it up, and sees that samples come. SPI mode 0 or 3, up to 24 MHz. Takes 55 ms.
+    /// Goes through [`Setup`] once, which takes 55 ms. SPI mode 0 or 3, up to 24 MHz; `edges` is how often the
+    /// data-ready line has risen so far.
     ///
     /// # Errors
     /// See [`SetupError`].
-    pub fn new(spi: SPI, delay: &mut impl DelayNs) -> Result<Self, SetupError<SPI::Error>> {
-        let mut imu = Self { spi };
-        // From power-up to the first access 1 ms (table 4). The supply may have come up just now.
-        delay.delay_ms(2);
-        imu.write(DEVICE_CONFIG, 0x01)?;
-        // The reset takes up to 1 ms.
-        delay.delay_ms(2);
-
-        let identity = imu.read(WHO_AM_I)?;
-        if identity != IDENTITY {
-            return Err(SetupError::Identity(identity));
+    pub fn new(
+        mut spi: SPI,
+        delay: &mut impl DelayNs,
+        mut edges: impl FnMut() -> u32,
+    ) -> Result<Self, SetupError<SPI::Error>> {
+        const LOOK_US: u32 = 500;
+        let mut now_us = 0;
+        let mut setup = Setup::new(now_us);
+        loop {
+            match setup.step(&mut spi, now_us, edges()) {
+                Progress::Waiting => {
+                    delay.delay_us(LOOK_US);
+                    now_us += LOOK_US;
+                }
+                Progress::Done => return Ok(Self { spi }),
+                Progress::Failed(error) => return Err(error),
+            }
         }
-        if imu.read(INT_STATUS)? & RESET_DONE_INT == 0 {
-            return Err(SetupError::NotReset);
-        }
-        for (register, value) in SETTINGS {
-            imu.write(register, value)?;
-        }
-        for (register, value) in SETTINGS {
-            imu.check(register, value)?;
-        }
-        // Bits 7:6 from 10 to 01 switch off the adaptive full-scale feature, in which the gyroscope's output
-        // stands still for milliseconds at a time. The datasheet calls them reserved; the setting is from
-        // ArduPilot's pull request 25332.
-        let interface = imu.read(INTF_CONFIG1)? & 0x3f | 0x40;
-        imu.write(INTF_CONFIG1, interface)?;
-        imu.check(INTF_CONFIG1, interface)?;
-
-        imu.write(PWR_MGMT0, BOTH_LOW_NOISE)?;
-        // No register may be written for 200 µs after this, the gyroscope takes 30 ms to start (table 1), and
-        // it must stay on for 45 ms at least.
-        delay.delay_ms(30);
-        imu.check(PWR_MGMT0, BOTH_LOW_NOISE)?;
-        let samples = imu.count_samples(delay)?;
-        if !RATE_SAMPLES.contains(&samples) {
-            return Err(SetupError::Rate { samples });
-        }
-        Ok(imu)
     }
 
     /// Does a burst, and waits for it.
@@ -274,47 +197,6 @@ impl<SPI: SpiDevice> Icm42688p<SPI> {
         let mut frame = BURST;
         self.spi.transfer_in_place(&mut frame)?;
         Ok(frame)
-    }
-
-    /// The bus, for sampling by DMA.
-    pub fn release(self) -> SPI {
-        self.spi
-    }
-
-    fn count_samples(&mut self, delay: &mut impl DelayNs) -> Result<u32, SPI::Error> {
-        self.read(INT_STATUS)?;
-        let mut samples = 0;
-        for _ in 0..RATE_LOOKS {
-            delay.delay_us(RATE_LOOK_US);
-            samples += u32::from(self.read_here(INT_STATUS)? & DATA_RDY_INT != 0);
-        }
-        Ok(samples)
-    }
-
-    fn check(&mut self, register: Register, value: u8) -> Result<(), SetupError<SPI::Error>> {
-        let Register { bank, address } = register;
-        if self.read(register)? == value { Ok(()) } else { Err(SetupError::NotKept { bank, address }) }
-    }
-
-    fn write(&mut self, register: Register, value: u8) -> Result<(), SPI::Error> {
-        self.select(register.bank)?;
-        self.spi.write(&[register.address, value])
-    }
-
-    fn read(&mut self, register: Register) -> Result<u8, SPI::Error> {
-        self.select(register.bank)?;
-        self.read_here(register)
-    }
-
-    /// Reads a register of the bank that is selected: bank 0, once the sensor is set up.
-    fn read_here(&mut self, register: Register) -> Result<u8, SPI::Error> {
-        let mut frame = [register.address | READ, 0];
-        self.spi.transfer_in_place(&mut frame)?;
-        Ok(frame[1])
-    }
-
-    fn select(&mut self, bank: u8) -> Result<(), SPI::Error> {
-        self.spi.write(&[REG_BANK_SEL, bank])
     }
 }
 

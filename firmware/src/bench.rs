@@ -4,10 +4,12 @@
 //! A raw line is 22 bytes on the wire, so that a thousand a second are 22 kB/s. What the probe does not fetch in
 //! time is dropped, line by line: the time in each shows it.
 
+use core::cell::Cell;
+
+use cortex_m::interrupt::{Mutex, free};
+use flight_core::Config;
 use flight_core::calibration::{Calibration, SensorFields, SensorModel};
 use flight_core::sample::{ImuSample, MagSample};
-
-use crate::board;
 
 /// Milliseconds from one calibrated sample of the inertial sensor to the next.
 const CALIBRATED_MS: u64 = 100;
@@ -26,7 +28,8 @@ pub fn log(time_us: u64, imu: Option<ImuSample>, mag: Option<MagSample>) {
     if imu.is_none() && mag.is_none() {
         return;
     }
-    let Some([gyro_model, accel_model, mag_model]) = models() else { return };
+    let models = free(|cs| MODELS.borrow(cs).get());
+    let Some([gyro_model, accel_model, mag_model]) = models else { return };
     if let Some(imu) = imu {
         let (w, f) = (gyro_model.apply(imu.gyro), accel_model.apply(imu.accel));
         defmt::println!("rad/s {=u32} {=f32} {=f32} {=f32}", us, w.x, w.y, w.z);
@@ -38,8 +41,16 @@ pub fn log(time_us: u64, imu: Option<ImuSample>, mag: Option<MagSample>) {
     }
 }
 
-fn models() -> Option<[SensorModel; 3]> {
-    let config = board::config();
+/// The sensors' models, once [`begin`] has made them.
+static MODELS: Mutex<Cell<Option<[SensorModel; 3]>>> = Mutex::new(Cell::new(None));
+
+/// Samples are calibrated by `config` from now on.
+pub fn begin(config: &Config) {
+    let models = models(config);
+    free(|cs| MODELS.borrow(cs).set(models));
+}
+
+fn models(config: &Config) -> Option<[SensorModel; 3]> {
     let calibration = config.calibration.unwrap_or(Calibration::NONE);
     let p = &config.params;
     Some([

@@ -1,7 +1,8 @@
 //! The magnetometer: looked for, read, given up, looked for again.
 //!
 //! It hangs on a connector, and may not be there, or not any more. None of that is anybody else's concern: the
-//! task has the lowest priority, and its bus ends every run in time, whatever the wires do.
+//! task has the lowest priority, and its bus ends every run in time, whatever the wires do. The watchdog does not look at
+//! it.
 
 use drivers::qmc5883l::{Qmc5883l, SampleError};
 use embedded_hal::delay::DelayNs;

@@ -1,10 +1,13 @@
 //! Faults stop the motors.
 //!
-//! The PWM timers go on by themselves: without this, a fault in flight would leave the motors at their last
-//! pulse. Every way out of the program ends here: a panic (its handler ends in an undefined instruction), a
+//! The PWM timers go on by themselves, and an ESC holds its last throttle for a while when frames stop coming: without
+//! this, a fault in flight would leave the motors as they were. Every way out of the program ends here: a panic, a
 //! fault, a stack that has run out of its region, an interrupt that has no handler, a flight task that hangs
-//! ([`crate::sampling`]). Then nobody feeds the watchdog, and within two seconds the board starts anew, with its
-//! outputs stopped and its arm state saying so.
+//! ([`crate::sampling`]).
+//!
+//! The stop is on every pad 0.1 to 3.6 ms later, by protocol (`firmware/src/stm32f405/esc.rs` has the arithmetic), and
+//! goes on. Nobody feeds the watchdog then, and within two seconds the board starts anew, with its outputs stopped and
+//! its arm state saying so.
 
 use core::arch::naked_asm;
 
@@ -16,10 +19,17 @@ use crate::board;
 ///
 /// The fault may be that the stack has no room left, and then a function's first push would fault again,
 /// which locks the core up. Nothing returns from here, so the stack is begun anew.
+///
+/// The processor may still owe the interrupted code's floating-point registers to the old stack, into which it would
+/// write them at the next floating-point instruction: over the new one. FPCCR (0xe000_ef34) with zero in it forgets that.
 #[unsafe(naked)]
 #[unsafe(export_name = "HardFault")]
 unsafe extern "C" fn hard_fault() -> ! {
     naked_asm!(
+        "ldr r0, =0xe000ef34",
+        "movs r1, #0",
+        "str r1, [r0]",
+        "dsb",
         "ldr r0, =_stack_start",
         "msr msp, r0",
         "b {stop}",
@@ -36,6 +46,22 @@ unsafe fn DefaultHandler(_irqn: i16) -> ! {
 pub extern "C" fn stop() -> ! {
     // An unexpected interrupt comes at its own priority, and the flight task must not run again.
     cortex_m::interrupt::disable();
-    board::stop_outputs();
+    board::stop_after_fault();
+    board::halt()
+}
+
+/// Stops the motors, and only then says what has happened: writing that down may take a while, or panic again.
+#[cfg(not(feature = "qemu"))]
+#[panic_handler]
+fn panic(info: &core::panic::PanicInfo) -> ! {
+    use core::sync::atomic::{AtomicBool, Ordering};
+    static PANICKED: AtomicBool = AtomicBool::new(false);
+
+    cortex_m::interrupt::disable();
+    board::stop_after_fault();
+    if !PANICKED.load(Ordering::Relaxed) {
+        PANICKED.store(true, Ordering::Relaxed);
+        defmt::error!("{}", defmt::Display2Format(info));
+    }
     board::halt()
 }

@@ -7,23 +7,27 @@
 //!       13 µs      the burst is done, and its vector is that of `flight`: sample and inbox to the flight
 //!                  controller, pulses and permit to the outputs
 //!     any time     `tick`: the bytes that the receiver has sent; starts what is due of `supply`, `compass`,
-//!                  `health`
+//!                  `health`, and `imu` while the sensor is being set up
 //!                  idle: sleeps
 //!    1,000 µs      the next sample
 //! ```
-//! If the next sample does not come, a timer wakes `flight` at 1,500 µs after the last one, and then every
-//! 1,000 µs: the step runs without a sample, and the flight controller decides what to make of it.
+//! If the next edge does not come, a timer starts the burst at 1,500 µs after the last one, and then every
+//! 1,000 µs. If that brings no sample, or the sensor is being set up, the step runs without one, and the flight
+//! controller decides what to make of it.
 //!
 //! # Who may do what
 //! Whether the motors turn is decided in one place, `flight_core::arming`, which hands out a `MotorPermit`
 //! with each step in which they may. `Outputs::drive` takes that permit by value, and nothing else writes a
 //! pulse other than the stop pulse. A panic, a fault, an interrupt that nobody expected, and a flight task that
 //! does not end its run stop the motors ([`fault`]). The watchdog is fed in one place, `supply`, and only if
-//! every periodic task is on time ([`watch`]).
+//! the tasks that a flight needs are on time ([`watch`]).
 //!
 //! # Two boards, one set of tasks
 //! The tasks below are the same in flight, on a desk and on QEMU; what differs lies in [`board`]. With the feature
 //! `bench` the outputs are never driven, and every sample is logged.
+//!
+//! # The last step
+//! Each step's input and outcome stand in RAM at the symbol `FLIGHT_RECORD`, for a debug probe ([`recorder`]).
 //!
 //! `docs/timing.md` has each task's worst time and what follows from it.
 #![no_std]
@@ -37,17 +41,20 @@ mod clock;
 #[cfg(not(feature = "unwired"))]
 mod compass;
 mod fault;
+#[cfg(not(feature = "unwired"))]
+mod imu;
 mod inbox;
 #[cfg(not(feature = "unwired"))]
 mod pilot;
+mod recorder;
 mod sampling;
 mod stm32f405;
+#[cfg(not(feature = "unwired"))]
+mod stored;
 mod tally;
 mod watch;
 
 use defmt_rtt as _;
-#[cfg(not(feature = "qemu"))]
-use panic_probe as _;
 #[cfg(feature = "qemu")]
 use panic_semihosting as _;
 
@@ -73,34 +80,41 @@ const IMAGE_NAME: &str = match (cfg!(feature = "unwired"), cfg!(feature = "bench
 
 // | task       | woken by                     | prio | rate      | deadline       | has                           |
 // |------------|------------------------------|------|-----------|----------------|-------------------------------|
-// | (board's)  | EXTI4: data ready            | 5    | 1 kHz     | –              | the time, the burst           |
-// | (board's)  | TIM5: sample overdue         | 5    | ≤ 1 kHz   | –              | the time                      |
-// | `receive`  | USART2: a byte               | 5    | ≤ 42 kHz  | the next byte  | ear                           |
-// | `flight`   | DMA2_STREAM0: burst done, or | 4    | 1 kHz     | 1 ms           | flight controller, sampler,   |
+// | (board's)  | EXTI4: data ready            | 6    | 1 kHz     | –              | the time, the burst           |
+// | (board's)  | TIM5: sample overdue         | 6    | ≤ 1 kHz   | –              | the time, the burst           |
+// | `receive`  | USART2: a byte               | 6    | ≤ 42 kHz  | the next byte  | ear                           |
+// | `flight`   | DMA2_STREAM0: burst done, or | 5    | 1 kHz     | 1 ms           | flight controller, sampler,   |
 // |            | pended when overdue          |      |           |                | outputs, monitor; inbox, watch|
-// | `tick`     | SysTick                      | 3    | 1 kHz     | 1 ms           | radio; inbox, watch           |
-// | `supply`   | `tick`, every 20th           | 2    | 50 Hz     | 20 ms          | supply, watchdog; inbox, watch|
+// | `tick`     | SysTick                      | 4    | 1 kHz     | 1 ms           | radio; inbox, watch           |
+// | `supply`   | `tick`, every 20th           | 3    | 50 Hz     | 20 ms          | supply, watchdog; inbox, watch|
+// | `imu`      | `tick`, while being set up   | 2    | 1 kHz     | –              | the inertial sensor's set-up  |
 // | `health`   | `tick`, every 1,000th        | 2    | 1 Hz      | 1 s            | watch                         |
 // | `announce` | whoever has news             | 2    | rare      | –              | its argument                  |
 // | `stream`   | `flight`, feature `bench`    | 2    | 1 kHz     | –              | its argument                  |
-// | `compass`  | `tick`, every 5th            | 1    | 200 Hz    | 5 ms           | compass; inbox, watch         |
+// | `compass`  | `tick`, every 5th            | 1    | 200 Hz    | 5 ms           | compass; inbox                |
 // | `idle`     |                              | 0    |           |                |                               |
 //
-// `inbox` and `watch` are shared under RTIC's priority ceiling, which is 4: a lock holds `flight` up for some
-// dozens of instructions, and priority 5, which takes the times, never. The dispatchers are the vectors of
-// peripherals that the F405 does not have.
-#[rtic::app(device = stm32f4xx_hal::pac, peripherals = true, dispatchers = [CRYP, DCMI])]
+// A flight needs `flight`, `tick` and `supply`, and the watchdog looks at these three. Whatever has a lower priority
+// may hang without holding them up.
+//
+// `inbox` and `watch` are shared under RTIC's priority ceiling, which is 5: a lock holds `flight` up for some
+// dozens of instructions, and priority 6, which takes the times, never. The dispatchers are the vectors of
+// peripherals that the F405 does not have, and of its random number generator, which nobody switches on.
+#[rtic::app(device = stm32f4xx_hal::pac, peripherals = true, dispatchers = [CRYP, DCMI, HASH_RNG])]
 mod app {
     use flight_core::arming::Event;
+    use flight_core::record::Outcome;
     use flight_core::sample::Health;
     use flight_core::watchdog::Deadline;
     use flight_core::{FlightController, Input};
 
-    use crate::board::{self, Board, Compass, Ear, Monitor, Outputs, Radio, Sampler, Step, Supply, Watchdog};
+    use crate::board::{
+        self, Board, Compass, Ear, Imu, Monitor, Outputs, Radio, Sampler, Step, Supply, Watchdog,
+    };
     use crate::inbox::Inbox;
-    use crate::sampling;
     use crate::tally::TALLY;
     use crate::watch::{self, COMPASS_TICKS, HEALTH_TICKS, SUPPLY_TICKS, Task, Watch};
+    use crate::{recorder, sampling};
 
     /// The outputs are locked, because people are about.
     const BENCH: bool = cfg!(feature = "bench");
@@ -123,6 +137,7 @@ mod app {
     struct Local {
         controller: FlightController,
         sampler: Sampler,
+        imu: Imu,
         outputs: Outputs,
         monitor: Monitor,
         ear: Ear,
@@ -138,7 +153,7 @@ mod app {
     #[init]
     fn init(cx: init::Context) -> (Shared, Local) {
         let board = board::init(cx.core, cx.device);
-        let controller = match FlightController::new(&board::config()) {
+        let controller = match FlightController::new(&board.config) {
             Ok(controller) => controller,
             // Its numbers go without a word: formatting floats takes a third of the flash that there is.
             Err(error) => panic!("configuration: {} is out of range", error.field),
@@ -152,12 +167,25 @@ mod app {
         if BENCH {
             defmt::info!("bench: the outputs are locked");
         }
+        #[cfg(feature = "bench")]
+        crate::bench::begin(&board.config);
         let Board {
-            sampler, outputs, monitor, ear, radio, supply, compass, watchdog, watchdog_reset, ..
+            sampler,
+            imu,
+            outputs,
+            monitor,
+            ear,
+            radio,
+            supply,
+            compass,
+            watchdog,
+            watchdog_reset,
+            ..
         } = board;
         let local = Local {
             controller,
             sampler,
+            imu,
             outputs,
             monitor,
             ear,
@@ -179,13 +207,13 @@ mod app {
         }
     }
 
-    #[task(binds = USART2, priority = 5, local = [ear])]
+    #[task(binds = USART2, priority = 6, local = [ear])]
     fn receive(cx: receive::Context) {
         cx.local.ear.hear();
     }
 
     #[task(
-        binds = DMA2_STREAM0, priority = 4, shared = [inbox, watch],
+        binds = DMA2_STREAM0, priority = 5, shared = [inbox, watch],
         local = [controller, sampler, outputs, monitor, watchdog_reset]
     )]
     fn flight(cx: flight::Context) {
@@ -194,7 +222,7 @@ mod app {
         let Some(sample) = sampler.take(board::now_us()) else { return };
 
         let Inbox { rc, mag, battery } = inbox.lock(core::mem::take);
-        let output = controller.step(&Input {
+        let input = Input {
             time_us: sample.time_us,
             imu: sample.imu,
             mag,
@@ -207,26 +235,35 @@ mod app {
                 watchdog_reset: *watchdog_reset,
                 missed_deadlines: watch::missed(),
             },
-        });
-        match output.permit {
-            Some(permit) if !BENCH => outputs.drive(permit, output.pulses_us),
-            _ => outputs.stop(),
-        }
+        };
+        let output = controller.step(&input);
+        let driven = match output.permit {
+            Some(permit) if !BENCH => {
+                outputs.drive(permit, output.pulses_us);
+                true
+            }
+            _ => {
+                outputs.stop();
+                false
+            }
+        };
 
         #[cfg(feature = "bench")]
         stream::spawn(sample.time_us, sample.imu, mag).ok();
         let attitude = controller.attitude();
+        let (pulses_us, state, event) = (output.pulses_us, output.state, output.event);
+        recorder::write(&input, &Outcome { driven, pulses_us, state, event, attitude });
         let sampled = sample.imu.is_some();
         monitor.show(&Step {
             time_us: sample.time_us,
             sampled,
-            state: output.state,
-            event: output.event,
+            state,
+            event,
             attitude,
             missed_deadlines: watch::missed(),
         });
         // A line that finds the last one still being written is dropped: the next one comes.
-        if let Some(event) = output.event {
+        if let Some(event) = event {
             announce::spawn(News::Arming(event)).ok();
         }
 
@@ -237,10 +274,13 @@ mod app {
         if watch.lock(|watch| watch.check_in(Task::Flight, deadline, now_us)) {
             announce::spawn(News::Missed(Task::Flight)).ok();
         }
+        if sample.polled && watch.lock(|watch| watch.miss(Task::DataReady)) {
+            announce::spawn(News::Missed(Task::DataReady)).ok();
+        }
         sampling::served();
     }
 
-    #[task(binds = SysTick, priority = 3, shared = [inbox, watch], local = [radio, ticks, ticked_us])]
+    #[task(binds = SysTick, priority = 4, shared = [inbox, watch], local = [radio, ticks, ticked_us])]
     fn tick(cx: tick::Context) {
         let tick::LocalResources { radio, ticks, ticked_us, .. } = cx.local;
         let tick::SharedResources { mut inbox, mut watch, .. } = cx.shared;
@@ -263,6 +303,10 @@ mod app {
         if ticks.is_multiple_of(HEALTH_TICKS) && health::spawn().is_err() {
             miss(Task::Health);
         }
+        // It has no deadline: one that is still at its last step goes on with the next tick.
+        if sampling::setting_up() {
+            imu::spawn().ok();
+        }
         *ticks = ticks.wrapping_add(1);
 
         let now_us = board::now_us();
@@ -275,7 +319,7 @@ mod app {
         }
     }
 
-    #[task(priority = 2, shared = [inbox, watch], local = [supply, watchdog])]
+    #[task(priority = 3, shared = [inbox, watch], local = [supply, watchdog])]
     async fn supply(cx: supply::Context) {
         let supply::LocalResources { supply, watchdog, .. } = cx.local;
         let supply::SharedResources { mut inbox, mut watch, .. } = cx.shared;
@@ -296,11 +340,13 @@ mod app {
 
     #[task(priority = 2, shared = [watch])]
     async fn health(mut cx: health::Context) {
-        cx.shared.watch.lock(|watch| {
-            watch.check_in(Task::Health, Deadline::Met, board::now_us());
-            watch.begin_report();
-        });
+        cx.shared.watch.lock(Watch::begin_report);
         TALLY.log(watch::missed());
+    }
+
+    #[task(priority = 2, local = [imu])]
+    async fn imu(cx: imu::Context) {
+        cx.local.imu.run();
     }
 
     #[task(priority = 2)]
@@ -326,12 +372,10 @@ mod app {
         crate::bench::log(time_us, imu, mag);
     }
 
-    #[task(priority = 1, shared = [inbox, watch], local = [compass])]
-    async fn compass(cx: compass::Context) {
-        let compass::SharedResources { mut inbox, mut watch, .. } = cx.shared;
+    #[task(priority = 1, shared = [inbox], local = [compass])]
+    async fn compass(mut cx: compass::Context) {
         if let Some(mag) = cx.local.compass.run() {
-            inbox.lock(|inbox| inbox.mag = Some(mag));
+            cx.shared.inbox.lock(|inbox| inbox.mag = Some(mag));
         }
-        watch.lock(|watch| watch.check_in(Task::Compass, Deadline::Met, board::now_us()));
     }
 }

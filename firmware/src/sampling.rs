@@ -4,17 +4,29 @@
 //!      0 µs    data ready       the board's interrupt notes the time, starts the burst          [`ready`]
 //!     13 µs    burst done       its end raises the vector that `flight` is bound to              [`Sampler::take`]
 //!  1,000 µs    data ready       ...
-//!  1,500 µs    nothing came     the board's timer wakes `flight` without a sample                [`overdue`]
+//!  1,500 µs    no edge came     the board's timer starts the burst itself                        [`poll`]
 //! ```
-//! One burst is on its way at a time. Its token is [`BURST`]: taken by [`ready`], given back by
-//! [`Sampler::take`]. A data-ready edge that finds it taken starts nothing: the sample is late, and counted.
+//! So the line may break, or stay high or low: the sensor is then read 1,000 times a second by the board's own clock,
+//! and each of these reads is counted, and is a missed deadline, which arming is refused for.
+//!
+//! # Who has the bus
+//! The bus has one owner ([`OWNER`]):
+//!
+//! | owner | taken by | given back by |
+//! |---|---|---|
+//! | nobody | | |
+//! | a burst | [`ready`], [`poll`] | [`Sampler::take`]: to nobody, or to the set-up |
+//! | the set-up | [`Sampler::take`], when the sensor must be set up ([`Recovery`]); [`claim`], at start | [`set_up_done`] |
+//!
+//! A data-ready edge that finds a burst starts nothing: the sample is late, and counted. While the set-up has the
+//! bus, edges are counted for it, and each of them, or the timer, runs a step without a sample.
 //!
 //! Nothing that fails is replaced: the step runs without a sample, and the flight controller lets the last one
 //! age.
 
-use core::sync::atomic::{AtomicBool, AtomicU32, Ordering, fence};
+use core::sync::atomic::{AtomicBool, AtomicU8, AtomicU32, Ordering, fence};
 
-use drivers::icm42688p::{FRAME_LEN, Frame, FrameError, decode};
+use drivers::icm42688p::{FRAME_LEN, Frame, FrameError, Recovery, decode};
 use flight_core::sample::ImuSample;
 
 use crate::clock::Clock;
@@ -27,43 +39,81 @@ const BURST_LIMIT_US: i32 = 100;
 /// long before the watchdog resets the board.
 const UNSERVED_LIMIT: u32 = 20;
 
+/// Who has the bus: one of the three that follow.
+static OWNER: AtomicU8 = AtomicU8::new(NOBODY);
+const NOBODY: u8 = 0;
 /// A burst is on its way, or its frame has not been taken.
-static BURST: AtomicBool = AtomicBool::new(false);
-/// When its sample was ready.
+const BURST: u8 = 1;
+/// The sensor is being set up.
+const SET_UP: u8 = 2;
+
+/// When the burst's sample was ready, or when the board asked for it.
 static READY_US: AtomicU32 = AtomicU32::new(0);
+/// The burst was started without an edge of the data-ready line.
+static POLLED: AtomicBool = AtomicBool::new(false);
 /// Another sample became ready while it ran.
 static RISEN: AtomicBool = AtomicBool::new(false);
-/// The deadline has passed.
+/// A step must run without a sample.
 static OVERDUE: AtomicBool = AtomicBool::new(false);
-/// When.
+/// When that was.
 static OVERDUE_US: AtomicU32 = AtomicU32::new(0);
 /// Wake-ups since the flight task last finished a run.
 static UNSERVED: AtomicU32 = AtomicU32::new(0);
+/// Edges of the data-ready line while the sensor was being set up.
+static EDGES: AtomicU32 = AtomicU32::new(0);
 
 /// A sample became ready at `at_us`; `running` if the burst of the one before still runs. Returns whether a burst
-/// must be started; if not, `flight` must be woken, to see to the one that has the token. For the board's
+/// must be started; if not, `flight` must be woken, to see to the one that has the bus. For the board's
 /// interrupt, at a priority above `flight`'s.
 pub fn ready(at_us: u32, running: bool) -> bool {
-    count_wake_up();
-    if BURST.load(Ordering::Acquire) {
-        if running {
-            RISEN.store(true, Ordering::Relaxed);
-        } else {
-            TALLY.late.add();
+    match OWNER.load(Ordering::Acquire) {
+        NOBODY => {
+            count_wake_up();
+            begin_burst(at_us, false);
+            return true;
         }
-        return false;
+        BURST => {
+            count_wake_up();
+            if running {
+                RISEN.store(true, Ordering::Relaxed);
+            } else {
+                TALLY.late.add();
+            }
+        }
+        _ => {
+            // Nobody else writes to it.
+            EDGES.store(EDGES.load(Ordering::Relaxed).wrapping_add(1), Ordering::Relaxed);
+            overdue(at_us);
+        }
     }
-    READY_US.store(at_us, Ordering::Relaxed);
-    RISEN.store(false, Ordering::Relaxed);
-    BURST.store(true, Ordering::Release);
-    true
+    false
 }
 
-/// No sample came until `at_us`. For the board's interrupt, which then wakes `flight`.
+/// No edge came until `at_us`. Returns whether a burst must be started all the same; if not, `flight` must be woken.
+/// For the board's interrupt, at the same priority.
+#[cfg_attr(feature = "unwired", expect(dead_code, reason = "samples that do not come are missing there"))]
+pub fn poll(at_us: u32) -> bool {
+    if OWNER.load(Ordering::Acquire) == NOBODY {
+        count_wake_up();
+        begin_burst(at_us, true);
+        return true;
+    }
+    overdue(at_us);
+    false
+}
+
+/// No sample came until `at_us`, and none is asked for. For the board's interrupt, which then wakes `flight`.
 pub fn overdue(at_us: u32) {
     count_wake_up();
     OVERDUE_US.store(at_us, Ordering::Relaxed);
     OVERDUE.store(true, Ordering::Release);
+}
+
+fn begin_burst(at_us: u32, polled: bool) {
+    READY_US.store(at_us, Ordering::Relaxed);
+    POLLED.store(polled, Ordering::Relaxed);
+    RISEN.store(false, Ordering::Relaxed);
+    OWNER.store(BURST, Ordering::Release);
 }
 
 /// The flight task has finished a run.
@@ -78,6 +128,29 @@ fn count_wake_up() {
     if unserved > UNSERVED_LIMIT {
         fault::stop();
     }
+}
+
+/// The set-up has the bus from now on. Before the interrupts are let in.
+#[cfg(not(feature = "unwired"))]
+pub fn claim() {
+    OWNER.store(SET_UP, Ordering::Release);
+}
+
+/// Whether the sensor is to be set up, and the bus is the set-up's.
+pub fn setting_up() -> bool {
+    OWNER.load(Ordering::Acquire) == SET_UP
+}
+
+/// How often the data-ready line has risen while the sensor was being set up.
+#[cfg(not(feature = "unwired"))]
+pub fn edges() -> u32 {
+    EDGES.load(Ordering::Relaxed)
+}
+
+/// The sensor is set up, and its bus ready for bursts.
+#[cfg(not(feature = "unwired"))]
+pub fn set_up_done() {
+    OWNER.store(NOBODY, Ordering::Release);
 }
 
 /// Where a frame is received. In RAM that DMA reaches: the linker puts no variable into the core-coupled memory
@@ -134,6 +207,9 @@ pub enum Signal {
 /// Hence the order that [`Sampler::take`] keeps: first it acknowledges, whoever has woken it and whatever it
 /// then finds; only then it decides, by what was read.
 pub trait BurstBus {
+    /// Whether the board sets the sensor up again when it must be.
+    const SETS_UP: bool;
+
     /// Reads what the interrupt says, and takes down exactly what was read: unless something happens after that,
     /// the vector is not raised again. It touches neither the burst nor the frame.
     fn acknowledge(&mut self) -> Signal;
@@ -154,18 +230,21 @@ pub struct Sample {
     pub woken_us: u32,
     /// The counts.
     pub imu: Option<ImuSample>,
+    /// The data-ready line did not announce it.
+    pub polled: bool,
 }
 
 /// The flight task's side.
 pub struct Sampler<B> {
     bus: B,
     clock: Clock,
+    recovery: Recovery,
 }
 
 impl<B: BurstBus> Sampler<B> {
     /// Takes what `bus` brings.
     pub fn new(bus: B) -> Self {
-        Self { bus, clock: Clock::new() }
+        Self { bus, clock: Clock::new(), recovery: Recovery::new() }
     }
 
     /// What the next step is for; `None` if there is nothing to do, as when a burst has ended that was also
@@ -177,20 +256,19 @@ impl<B: BurstBus> Sampler<B> {
         if overdue {
             OVERDUE.store(false, Ordering::Relaxed);
         }
-        if BURST.load(Ordering::Acquire) {
+        if OWNER.load(Ordering::Acquire) == BURST {
             let ready_us = READY_US.load(Ordering::Relaxed);
-            // Negative if the sample has become ready since this run began.
+            // Negative if the burst was started since this run began.
             let running_us = now_us.wrapping_sub(ready_us) as i32;
             match signal {
                 Signal::Done => {
                     let frame = self.bus.finish();
-                    return Some(self.end(ready_us, judge(&frame)));
+                    return Some(self.end(ready_us, decode(&frame, RISEN.load(Ordering::Relaxed))));
                 }
                 Signal::Nothing if running_us <= BURST_LIMIT_US => {}
                 Signal::Nothing | Signal::Failed => {
                     self.bus.abort();
-                    TALLY.unreadable.add();
-                    return Some(self.end(ready_us, None));
+                    return Some(self.end(ready_us, Err(FrameError::NoAnswer)));
                 }
             }
         }
@@ -199,19 +277,32 @@ impl<B: BurstBus> Sampler<B> {
         }
         TALLY.lost.add();
         let woken_us = OVERDUE_US.load(Ordering::Relaxed);
-        Some(Sample { time_us: self.clock.at(woken_us), woken_us, imu: None })
+        Some(Sample { time_us: self.clock.at(woken_us), woken_us, imu: None, polled: false })
     }
 
-    fn end(&mut self, woken_us: u32, imu: Option<ImuSample>) -> Sample {
-        BURST.store(false, Ordering::Release);
-        Sample { time_us: self.clock.at(woken_us), woken_us, imu }
+    /// The burst is over: the bus is given back.
+    #[inline]
+    fn end(&mut self, woken_us: u32, frame: Result<ImuSample, FrameError>) -> Sample {
+        let polled = POLLED.load(Ordering::Relaxed);
+        let next = if B::SETS_UP && self.recovery.must_set_up(frame, woken_us) { SET_UP } else { NOBODY };
+        OWNER.store(next, Ordering::Release);
+        let time_us = self.clock.at(woken_us);
+        // The line is silent because there is no new sample: it is lost, and the line is well.
+        if polled && frame == Err(FrameError::Repeated) {
+            TALLY.lost.add();
+            return Sample { time_us, woken_us, imu: None, polled: false };
+        }
+        if polled {
+            TALLY.polled.add();
+        }
+        Sample { time_us, woken_us, imu: counted(frame), polled }
     }
 }
 
 /// The frame's sample. What is none is counted by its kind.
 #[inline]
-fn judge(frame: &Frame) -> Option<ImuSample> {
-    match decode(frame, RISEN.load(Ordering::Relaxed)) {
+fn counted(frame: Result<ImuSample, FrameError>) -> Option<ImuSample> {
+    match frame {
         Ok(sample) => return Some(sample),
         Err(FrameError::Repeated) => TALLY.repeated.add(),
         Err(FrameError::Torn) => TALLY.late.add(),

@@ -41,8 +41,10 @@ impl Count {
 
 /// All of them.
 pub struct Tally {
-    /// Inertial samples that did not come within 1.5 periods.
+    /// Steps without an inertial sample, because none could be read.
     pub lost: Count,
+    /// Reads without an edge of the data-ready line.
+    pub polled: Count,
     /// Those that came while the one before was still being read or worked on.
     pub late: Count,
     /// Reads that brought the same sample again.
@@ -53,6 +55,10 @@ pub struct Tally {
     pub unreadable: Count,
     /// Longest time from what woke `flight` to its end, µs.
     pub longest_us: Count,
+    /// Steps whose pulses were not sent, because the last ones were on their way.
+    pub outputs_dropped: Count,
+    /// Pulses that hung or were cut, so that the outputs were set up anew.
+    pub outputs_recovered: Count,
     /// Magnetometer samples.
     pub mag: Count,
     /// Accesses to the magnetometer that failed.
@@ -61,6 +67,8 @@ pub struct Tally {
     pub rc: Count,
     /// Receiver frames that were damaged.
     pub rc_bad: Count,
+    /// Runs of `compass` and `health` that were due while the one before was not done.
+    pub delayed: Count,
     /// Battery, mV, as last measured.
     pub battery_mv: Count,
 }
@@ -68,15 +76,19 @@ pub struct Tally {
 /// The counts.
 pub static TALLY: Tally = Tally {
     lost: Count::new(),
+    polled: Count::new(),
     late: Count::new(),
     repeated: Count::new(),
     invalid: Count::new(),
     unreadable: Count::new(),
     longest_us: Count::new(),
+    outputs_dropped: Count::new(),
+    outputs_recovered: Count::new(),
     mag: Count::new(),
     mag_errors: Count::new(),
     rc: Count::new(),
     rc_bad: Count::new(),
+    delayed: Count::new(),
     battery_mv: Count::new(),
 };
 
@@ -84,19 +96,24 @@ impl Tally {
     /// Writes the health line, and begins anew. `missed`: deadlines missed since start.
     pub fn log(&self, missed: u32) {
         defmt::info!(
-            "imu lost {=u32} late {=u32} repeated {=u32} invalid {=u32} unreadable {=u32}, flight {=u32} us, \
-             mag {=u32} errors {=u32}, rc {=u32} bad {=u32}, battery {=u32} mV, missed {=u32}",
+            "imu lost {=u32} polled {=u32} late {=u32} repeated {=u32} invalid {=u32} unreadable {=u32}, flight {=u32} us, \
+             outputs dropped {=u32} recovered {=u32}, mag {=u32} errors {=u32}, rc {=u32} bad {=u32}, \
+             battery {=u32} mV, delayed {=u32} missed {=u32}",
             self.lost.take(),
+            self.polled.take(),
             self.late.take(),
             self.repeated.take(),
             self.invalid.take(),
             self.unreadable.take(),
             self.longest_us.take(),
+            self.outputs_dropped.take(),
+            self.outputs_recovered.take(),
             self.mag.take(),
             self.mag_errors.take(),
             self.rc.take(),
             self.rc_bad.take(),
             self.battery_mv.take(),
+            self.delayed.take(),
             missed,
         );
     }

@@ -1,4 +1,13 @@
-//! Who is on time: the roll of the periodic tasks, and the deadlines that they have missed.
+//! Who is on time: the roll of the tasks that a flight needs, and the deadlines that were missed.
+//!
+//! | | on the roll: without it the watchdog is not fed | counts for arming | logged |
+//! |---|---|---|---|
+//! | `flight`, `tick`, `supply` | yes | yes | yes |
+//! | the data-ready line | no | yes | yes |
+//! | `compass`, `health` | no | no | yes |
+//!
+//! A flight goes on without a compass and without a log. One that is late must not end it; and one that hangs must not
+//! make arming impossible for ever: it is shown in the log, and in the health line's count.
 
 use core::sync::atomic::{AtomicU32, Ordering};
 
@@ -6,6 +15,7 @@ use flight_core::watchdog::{Deadline, Late, Roll};
 
 use crate::board::{OVERDUE_US, PERIOD_US};
 use crate::clock::Clock;
+use crate::tally::TALLY;
 
 /// The periodic tasks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -20,10 +30,18 @@ pub enum Task {
     Compass,
     /// `health`.
     Health,
+    /// No task: the inertial sensor's data-ready line.
+    DataReady,
 }
 
 impl Task {
-    const ALL: [Self; 5] = [Self::Flight, Self::Tick, Self::Supply, Self::Compass, Self::Health];
+    /// Whether a flight needs it, so that nobody arms while it is late.
+    const fn is_needed(self) -> bool {
+        match self {
+            Self::Flight | Self::Tick | Self::Supply | Self::DataReady => true,
+            Self::Compass | Self::Health => false,
+        }
+    }
 
     /// For people.
     pub const fn name(self) -> &'static str {
@@ -33,44 +51,42 @@ impl Task {
             Self::Supply => "supply",
             Self::Compass => "compass",
             Self::Health => "health",
-        }
-    }
-
-    /// Age of the last check-in at which the task is late, µs: its longest period, and as much again for those
-    /// that are started by another task.
-    const fn allowed_age_us(self) -> u64 {
-        match self {
-            // A lost sample, and the period of those that stay lost.
-            Self::Flight => (OVERDUE_US + PERIOD_US) as u64,
-            Self::Tick => 2 * PERIOD_US as u64,
-            Self::Supply => 2 * (SUPPLY_TICKS * PERIOD_US) as u64,
-            Self::Compass => 2 * (COMPASS_TICKS * PERIOD_US) as u64,
-            Self::Health => 2 * (HEALTH_TICKS * PERIOD_US) as u64,
+            Self::DataReady => "data ready",
         }
     }
 }
 
+/// The roll, in the order of [`Task`]: the age of the last check-in at which the task is late, µs. That is its longest
+/// period, and as much again for those that are started by another task.
+const ALLOWED_AGE_US: [u64; 3] = [
+    // A lost sample, and the period of those that stay lost.
+    (OVERDUE_US + PERIOD_US) as u64,
+    2 * PERIOD_US as u64,
+    2 * (SUPPLY_TICKS * PERIOD_US) as u64,
+];
+
 /// Ticks (1 ms) from one run to the next.
 pub const COMPASS_TICKS: u32 = 5;
-/// Likewise.
+/// Likewise; also those from one look at the roll to the next, which happens at the supply's turn.
 pub const SUPPLY_TICKS: u32 = 20;
-/// Likewise; also those from one look at the roll to the next, which happens right after the supply's turn.
+/// Likewise.
 pub const HEALTH_TICKS: u32 = 1_000;
 
 /// How long after start a task may take to its first run, µs.
-const GRACE_US: u64 = 1_100_000;
+const GRACE_US: u64 = 100_000;
 
-/// Deadlines missed since start. An atomic, so that a step may read it without a lock; [`Watch`] writes it.
+/// Deadlines missed since start, of those that count for arming. An atomic, so that a step may read it without a lock;
+/// [`Watch`] writes it.
 static MISSED: AtomicU32 = AtomicU32::new(0);
 
-/// Deadlines missed since start.
+/// Deadlines missed since start, of those that count for arming.
 pub fn missed() -> u32 {
     MISSED.load(Ordering::Relaxed)
 }
 
 /// The roll, and who was told of.
 pub struct Watch {
-    roll: Roll<{ Task::ALL.len() }>,
+    roll: Roll<{ ALLOWED_AGE_US.len() }>,
     clock: Clock,
     /// Bit n: a miss of task n has been told since the last health line.
     told: u32,
@@ -79,9 +95,8 @@ pub struct Watch {
 impl Watch {
     /// Nobody has checked in yet; it is `now_us`.
     pub fn new(now_us: u32) -> Self {
-        let allowed_age_us = Task::ALL.map(Task::allowed_age_us);
         let mut clock = Clock::new();
-        Self { roll: Roll::new(allowed_age_us, clock.at(now_us), GRACE_US), clock, told: 0 }
+        Self { roll: Roll::new(ALLOWED_AGE_US, clock.at(now_us), GRACE_US), clock, told: 0 }
     }
 
     /// `task` ends a run at `now_us`. Returns whether a person should be told that it was late.
@@ -93,7 +108,11 @@ impl Watch {
 
     /// `task` was to begin a run, and has not finished the one before. Returns as [`Self::check_in`].
     pub fn miss(&mut self, task: Task) -> bool {
-        MISSED.fetch_add(1, Ordering::Relaxed);
+        if task.is_needed() {
+            MISSED.fetch_add(1, Ordering::Relaxed);
+        } else {
+            TALLY.delayed.add();
+        }
         let bit = 1 << task as u32;
         let tell = self.told & bit == 0;
         self.told |= bit;

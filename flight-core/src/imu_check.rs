@@ -7,6 +7,11 @@ use crate::sample::ImuSample;
 /// section 14.1 on the data registers); a single axis at this value is one at the end of its range.
 const INVALID: i16 = i16::MIN;
 
+/// The ends of the range. The ICM-42688-P's counts end at −32,766, because the two below mark invalid data (the same
+/// section); a simulated converter's end at −32,768.
+const HIGHEST: i16 = i16::MAX;
+const LOWEST: i16 = -32_766;
+
 /// How long an axis may read the same, s.
 const IMU_STUCK_S: f32 = 0.1;
 /// And in how many looks, at least.
@@ -80,7 +85,7 @@ impl ImuCheck {
     fn stuck_within_range(&self) -> bool {
         let counts = self.last.gyro.iter().chain(&self.last.accel);
         let mut axes = self.still.as_flattened().iter().zip(counts);
-        axes.any(|(&still, &counts)| still >= self.limit && counts != i16::MAX && counts != i16::MIN)
+        axes.any(|(&still, &counts)| still >= self.limit && counts > LOWEST && counts < HIGHEST)
     }
 
     /// Whether an axis has stood still for too long.
@@ -117,7 +122,8 @@ mod tests {
             gyro_checked in any::<bool>(), accel_checked in prop::bool::weighted(0.7),
             runs in prop::collection::vec((
                 prop::array::uniform6(prop_oneof![
-                    6 => Just(None), 1 => (-9_i16..9).prop_map(Some), 1 => Just(Some(i16::MAX)), 1 => Just(Some(i16::MIN)),
+                    6 => Just(None), 1 => (-9_i16..9).prop_map(Some), 1 => prop::sample::select(&ENDS[..]).prop_map(Some),
+                    1 => prop::sample::select(&[32_766_i16, -32_765][..]).prop_map(Some),
                 ]),
                 1..400_usize,
             ), 1..6),
@@ -140,7 +146,7 @@ mod tests {
                         let alike = |looks: &[[i16; 3]], axis: usize| {
                             let last = looks[looks.len() - 1][axis];
                             let run = looks.iter().rev().take_while(|look| look[axis] == last).count() - 1;
-                            run >= limit && last != i16::MAX && last != i16::MIN
+                            run >= limit && !ENDS.contains(&last)
                         };
                         stuck = looks.iter().any(|looks| (0..3).any(|axis| alike(looks, axis)));
                     }
@@ -159,6 +165,9 @@ mod tests {
         }
     }
 
+    /// A chip's and a simulated converter's ends, and what lies between these.
+    const ENDS: [i16; 4] = [32_767, -32_766, -32_767, -32_768];
+
     const BOTH: StuckCheck = StuckCheck { gyro: true, accel: true };
 
     fn moving(step: i16) -> ImuSample {
@@ -169,18 +178,13 @@ mod tests {
     fn any_one_axis_that_stands_still_for_a_tenth_of_a_second_is_stuck() {
         for axis in 0..6 {
             let mut check = ImuCheck::new(BOTH, 1000.0);
-            let stick = |mut sample: ImuSample| {
-                let ImuSample { gyro, accel } = &mut sample;
-                [gyro, accel][axis / 3][axis % 3] = 7;
-                sample
-            };
             for step in 0..100 {
-                check.take(&stick(moving(step)));
+                check.take(&with_axis(step, axis, 7));
                 assert!(!check.stuck(), "axis {axis}, step {step}");
             }
             // Each sensor is looked at in every other sample.
-            check.take(&stick(moving(100)));
-            check.take(&stick(moving(101)));
+            check.take(&with_axis(100, axis, 7));
+            check.take(&with_axis(101, axis, 7));
             assert!(check.stuck(), "axis {axis}");
             check.take(&moving(102));
             check.take(&moving(103));
@@ -199,16 +203,40 @@ mod tests {
         assert!(check.stuck());
     }
 
+    /// The sample of a vehicle in motion, but for one axis, which reads `counts`.
+    fn with_axis(step: i16, axis: usize, counts: i16) -> ImuSample {
+        let mut sample = moving(step);
+        let ImuSample { gyro, accel } = &mut sample;
+        [gyro, accel][axis / 3][axis % 3] = counts;
+        sample
+    }
+
     #[test]
-    fn the_end_of_the_range_is_not_stuck_and_neither_is_a_sensor_without_noise() {
-        let mut check = ImuCheck::new(BOTH, 1000.0);
-        let mut ideal = ImuCheck::new(StuckCheck { gyro: false, accel: false }, 1000.0);
-        for step in 0..1_000 {
-            let full = ImuSample { gyro: [i16::MAX, i16::MIN, step], ..moving(step) };
-            check.take(&full);
-            ideal.take(&moving(1));
+    fn an_axis_at_either_end_of_its_range_is_not_stuck() {
+        let stuck_at = |axis, counts| {
+            let mut check = ImuCheck::new(BOTH, 1000.0);
+            (0..1_000).any(|step| {
+                check.take(&with_axis(step, axis, counts));
+                check.stuck()
+            })
+        };
+        for axis in 0..6 {
+            for end in ENDS {
+                assert!(!stuck_at(axis, end), "axis {axis} at {end}");
+            }
+            for within in [32_766, -32_765] {
+                assert!(stuck_at(axis, within), "axis {axis} at {within}");
+            }
         }
-        assert!(!check.stuck() && !ideal.stuck());
+    }
+
+    #[test]
+    fn a_sensor_without_noise_is_not_checked() {
+        let mut ideal = ImuCheck::new(StuckCheck { gyro: false, accel: false }, 1000.0);
+        for _ in 0..1_000 {
+            ideal.take(&moving(1));
+            assert!(!ideal.stuck());
+        }
     }
 
     #[test]

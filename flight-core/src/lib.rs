@@ -51,6 +51,7 @@ pub mod imu_check;
 pub mod mixer;
 pub mod prefilter;
 pub mod rc;
+pub mod record;
 pub mod sample;
 pub mod upset;
 pub mod watchdog;

@@ -54,17 +54,19 @@ pub struct RcFrame {
     pub status: LinkStatus,
 }
 
-/// What a receiver says of its link to the transmitter.
+/// What a receiver says of its link to the transmitter. The numbers are codes in a
+/// [`StepRecord`](crate::record::StepRecord), and do not change.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+#[repr(u8)]
 pub enum LinkStatus {
     /// The frame is the pilot's.
     #[default]
-    Good,
+    Good = 0,
     /// The receiver missed one, and repeats the last.
-    FrameLost,
+    FrameLost = 1,
     /// The receiver has lost the transmitter, and makes the channels up.
-    Failsafe,
+    Failsafe = 2,
 }
 
 /// Turn one motor on the bench. Each one is a heartbeat too: without the next the motor stops.

@@ -1,6 +1,6 @@
 //! Whether the independent watchdog may be fed.
 //!
-//! A watchdog that any task feeds only shows that this task runs. Here every periodic task is on a [`Roll`]
+//! A watchdog that any task feeds only shows that this task runs. Here every task that a flight needs is on a [`Roll`]
 //! and checks in at the end of each of its runs, saying whether it met its deadline; whoever feeds the
 //! watchdog looks at the roll first, and feeds it only if nobody is late.
 //!

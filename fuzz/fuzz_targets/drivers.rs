@@ -75,7 +75,9 @@ fuzz_target!(|data: &[u8]| {
     match kind % 5 {
         0 => bytes.as_chunks().0.iter().for_each(imu_frame),
         1 => {
-            if let Ok(mut imu) = Icm42688p::new(Bus::new(bytes), &mut Clock::default()) {
+            let clock = Clock::default();
+            let edges = || (clock.now_ns() / 1_000_000) as u32;
+            if let Ok(mut imu) = Icm42688p::new(Bus::new(bytes), &mut clock.clone(), edges) {
                 let Ok(frame) = imu.read_frame();
                 imu_frame(&frame);
             }
@@ -124,7 +126,9 @@ fn abused_imu(bytes: &[u8]) {
             _ => chip.transfer_in_place(&mut buffer).unwrap(),
         }
     }
-    let Ok(mut imu) = Icm42688p::new(chip, &mut clock) else { panic!("a whole chip") };
+    let handle = chip.clone();
+    let edges = || handle.data_ready_edges() as u32;
+    let Ok(mut imu) = Icm42688p::new(chip, &mut clock, edges) else { panic!("a whole chip") };
     clock.delay_ms(2);
     assert_eq!(icm42688p::decode(&imu.read_frame().unwrap(), false), Ok(truth));
 }

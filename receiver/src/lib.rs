@@ -80,6 +80,14 @@ pub struct Line {
 }
 
 impl Protocol {
+    /// For people.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Sbus => "SBUS",
+            Self::Crsf => "CRSF",
+        }
+    }
+
     /// How to set up the port.
     ///
     /// SBUS: Betaflight, `rx/sbus.c`. CRSF: Betaflight, `rx/crsf_protocol.h`, and ExpressLRS; TBS names

@@ -258,6 +258,53 @@ fn sense_counts_its_samples_and_writes_the_same_file_twice() {
 }
 
 #[test]
+fn config_writes_the_record_that_the_board_reads() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("config.bin");
+    let config = json(&["config", "hover", "--out", path.to_str().unwrap(), "--json"]);
+    let record = std::fs::read(&path).unwrap();
+    let scene = sim_host::scene::Scene::load("hover").unwrap();
+    assert_eq!(stored_config::decode(&record), Ok(scene.config));
+    assert_eq!(
+        (config["scene"].as_str(), config["bytes"].as_u64()),
+        (Some("hover"), Some(record.len() as u64))
+    );
+    assert_eq!(config["address"], 0x0800_4000);
+
+    let output = sim_host(&["config", "hover", "--out", "again.bin"], directory.path());
+    let text = String::from_utf8(output.stdout).unwrap();
+    assert!(
+        text.ends_with(
+            "probe-rs download --binary-format bin --base-address 0x08004000 --chip STM32F405RGTx again.bin\n"
+        ),
+        "{text}"
+    );
+    assert_eq!(std::fs::read(directory.path().join("again.bin")).unwrap(), record);
+}
+
+#[test]
+fn config_without_a_scene_or_a_place_writes_nothing() {
+    let directory = tempfile::tempdir().unwrap();
+    for (arguments, said) in [
+        (
+            ["config", "hovr", "--out", "config.bin"],
+            "error: SCENE = hovr: no such file and no built-in scene",
+        ),
+        (
+            ["config", "hover", "--out", "missing/config.bin"],
+            "error: missing/config.bin: cannot be written: ",
+        ),
+    ] {
+        let output = sim_host(&arguments, directory.path());
+        let error = String::from_utf8(output.stderr).unwrap();
+        assert_eq!((output.status.code(), error.lines().count()), (Some(2), 1), "{error}");
+        assert!(error.starts_with(said) && output.stdout.is_empty(), "{error}");
+    }
+    assert_eq!(sim_host(&["config", "hover"], directory.path()).status.code(), Some(2));
+    assert_eq!(std::fs::read_dir(directory.path()).unwrap().count(), 0);
+}
+
+#[test]
 fn scenes_lists_effects() {
     let scenes = json(&["scenes", "--json"]);
     let list = scenes["scenes"].as_array().unwrap();

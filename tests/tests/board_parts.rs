@@ -1,18 +1,27 @@
-//! The parts of the firmware that need no board: the extension of the microsecond counter, and the search for
-//! the receiver's protocol.
+//! The parts of the firmware that need no board: the extension of the microsecond counter, the search for the
+//! receiver's protocol, and what is taken of a stored configuration.
 
 #[path = "../../firmware/src/clock.rs"]
 mod clock;
 #[path = "../../firmware/src/pilot.rs"]
 mod pilot;
+#[path = "../../firmware/src/stored.rs"]
+mod stored;
 #[allow(dead_code)] // the other end of the receiver's wire, of which only the frames are needed here
 #[path = "../../receiver/tests/decoding/wire.rs"]
 mod wire;
 
+use flight_core::calibration::Calibration;
+use flight_core::geometry::{Mat3, vec3};
 use flight_core::rc::ChannelMap;
 use flight_core::sample::{LinkStatus, RcFrame};
+use flight_core::{Config, FlightController, Params};
 use pilot::{Heard, Pilot};
+use proptest::prelude::*;
 use receiver::Protocol;
+use sim_host::scene::{BUILT_IN, Scene};
+use stored::Refused;
+use stored_config::{DecodeError, MAX_RECORD, encode};
 
 #[test]
 fn the_clock_goes_on_where_its_counter_wraps() {
@@ -111,4 +120,106 @@ fn noise_is_no_receiver() {
         assert_eq!(wire.pass(speaks, &bytes), None);
     }
     assert_eq!(wire.pilot.found(), None);
+}
+
+/// A board whose inertial sensor is turned.
+fn board() -> Params {
+    let mut board = Params::default();
+    let mounting = Mat3 { rows: [vec3(0.0, 1.0, 0.0), vec3(1.0, 0.0, 0.0), vec3(0.0, 0.0, -1.0)] };
+    board.gyro.mounting = mounting;
+    board.accel.mounting = mounting;
+    board
+}
+
+fn stored_as(config: &Config) -> Result<Config, Refused> {
+    let mut flash = [0xff; MAX_RECORD];
+    encode(config, &mut flash).unwrap();
+    stored::read(&flash, &board())
+}
+
+#[test]
+fn a_stored_configuration_keeps_the_boards_mounting() {
+    let mut config = Config { params: Params::default(), calibration: Some(Calibration::NONE) };
+    config.calibration.as_mut().unwrap().gyro.bias = vec3(0.01, -0.02, 0.03);
+    config.params.descent.throttle = 0.3;
+    // The magnetometer is not soldered to the board: its mounting is the vehicle's.
+    config.params.mag.mounting = board().gyro.mounting;
+    let taken = stored_as(&config).unwrap();
+    assert_eq!(taken.params.gyro.mounting, board().gyro.mounting);
+    assert_eq!(taken.params.accel.mounting, board().accel.mounting);
+    config.params.gyro.mounting = board().gyro.mounting;
+    config.params.accel.mounting = board().accel.mounting;
+    assert_eq!(taken, config);
+    assert!(FlightController::new(&taken).is_ok());
+}
+
+#[test]
+fn a_configuration_that_is_not_for_the_board_is_refused_by_name() {
+    let config = Config { params: Params::default(), calibration: Some(Calibration::NONE) };
+    let refused = |change: fn(&mut Config)| {
+        let mut config = config;
+        change(&mut config);
+        stored_as(&config).map(|_| ())
+    };
+    assert_eq!(refused(|_| ()), Ok(()));
+    let not_the_boards = |field| Err(Refused::NotTheBoards(field));
+    let out_of_range = |field| Err(Refused::OutOfRange(field));
+    assert_eq!(refused(|c| c.params.imu_rate_hz = 500.0), not_the_boards("imu_rate_hz"));
+    assert_eq!(refused(|c| c.params.imu_rate_hz = f32::NAN), not_the_boards("imu_rate_hz"));
+    assert_eq!(refused(|c| c.params.gyro.per_count *= 2.0), not_the_boards("gyro.per_count"));
+    assert_eq!(refused(|c| c.params.accel.per_count = f32::NAN), not_the_boards("accel.per_count"));
+    assert_eq!(refused(|c| c.params.mag.per_count *= 0.998), not_the_boards("mag.per_count"));
+    assert_eq!(refused(|c| c.params.gyro.per_count *= 1.000_01), Ok(()));
+    assert_eq!(refused(|c| c.params.descent.throttle = f32::NAN), out_of_range("descent.throttle"));
+    assert_eq!(refused(|c| c.params.channels.arm = 16), out_of_range("rc.channels"));
+    assert_eq!(
+        refused(|c| c.calibration.as_mut().unwrap().gyro.matrix = Mat3::IDENTITY * 0.0),
+        out_of_range("calibration.gyro.matrix (determinant)")
+    );
+    assert_eq!(stored::read(&[0xff; 9], &board()), Err(Refused::Record(DecodeError::Empty)));
+    assert_eq!(out_of_range("a").map_err(Refused::text), Err::<(), _>(("out of range: ", "a")));
+}
+
+/// What `sim-host config` writes.
+#[test]
+fn the_built_in_scenes_with_the_boards_sensors_are_taken() {
+    let mut taken = 0;
+    for built_in in BUILT_IN {
+        let scene = Scene::parse(built_in.name, built_in.text).unwrap();
+        match stored_as(&scene.config) {
+            Ok(_) => taken += 1,
+            Err(refused) => assert!(matches!(refused, Refused::NotTheBoards(_)), "{}", built_in.name),
+        }
+    }
+    assert!(taken >= 10, "{taken}");
+}
+
+proptest! {
+    /// Whatever flash holds: it is taken, and a flight controller can be built from it, or it is refused.
+    #[test]
+    fn any_stored_bytes_are_taken_or_refused(
+        bytes in prop::collection::vec(any::<u8>(), 0..MAX_RECORD),
+        floats in prop::collection::vec((any::<prop::sample::Index>(), prop::num::f32::ANY), 0..3),
+    ) {
+        prop_assert!(stored::read(&bytes, &board()).is_err());
+        // And behind a checksum that fits.
+        let config = Config { params: Params::default(), calibration: Some(Calibration::NONE) };
+        let mut record = encode(&config, &mut [0; MAX_RECORD]).unwrap().to_vec();
+        let end = record.len() - 4;
+        for (at, float) in floats {
+            let at = 8 + at.index(end - 8 - 4);
+            record[at..at + 4].copy_from_slice(&float.to_le_bytes());
+        }
+        let checksum = crc32(&record[..end]);
+        record[end..].copy_from_slice(&checksum.to_le_bytes());
+        if let Ok(config) = stored::read(&record, &board()) {
+            prop_assert!(FlightController::new(&config).is_ok());
+        }
+    }
+}
+
+/// CRC-32 as in Ethernet, bit by bit.
+fn crc32(bytes: &[u8]) -> u32 {
+    let bit = |crc: u32| if crc & 1 == 1 { crc >> 1 ^ 0xedb8_8320 } else { crc >> 1 };
+    !bytes.iter().fold(!0, |crc, byte| (0..8).fold(crc ^ u32::from(*byte), |crc, _| bit(crc)))
 }

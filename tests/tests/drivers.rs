@@ -64,7 +64,7 @@ fn set_up_imu(
     clock: &Clock,
     chip: &chips::icm42688p::Icm42688p,
 ) -> Result<Imu, icm42688p::SetupError<spi::ErrorKind>> {
-    Icm42688p::new(chip.clone(), &mut clock.clone())
+    Icm42688p::new(chip.clone(), &mut clock.clone(), || chip.data_ready_edges() as u32)
 }
 
 fn set_up_mag(
@@ -135,7 +135,7 @@ fn an_imu_that_does_not_work_is_refused() {
     assert_eq!(refused(Fault::NoAnswer { reads: 0xff }), Some(SetupError::Identity(0xff)));
     assert_eq!(refused(Fault::NoAnswer { reads: 0x00 }), Some(SetupError::Identity(0x00)));
     assert_eq!(refused(Fault::NoPower), Some(SetupError::Identity(0x00)));
-    assert_eq!(refused(Fault::Stalled), Some(SetupError::Rate { samples: 0 }));
+    assert_eq!(refused(Fault::Stalled), Some(SetupError::Rate { edges: 0 }));
     for every in 1..40 {
         assert_eq!(refused(Fault::Bus { every }), Some(SetupError::Bus(spi::ErrorKind::Other)));
     }
@@ -163,6 +163,58 @@ fn an_imu_that_does_not_work_is_refused() {
     chip.clone().transfer_in_place(&mut [0x2d | 0x80, 0]).unwrap();
     chip.inject(FOR_EVER, Fault::StuckRegister { bank: 0, address: 0x11 });
     assert_eq!(set_up_imu(&clock, &chip).err(), Some(SetupError::NotReset));
+}
+
+#[test]
+fn an_imu_that_comes_late_is_found() {
+    // The power comes after 1.5 s: the attempts before fail, the first six close together, and the next one succeeds.
+    let (clock, chip) = imu_chip();
+    chip.inject(0..1_500 * MS, Fault::NoPower);
+    let mut setup = icm42688p::Setup::new(0);
+    let mut failures_us = vec![];
+    loop {
+        let now_us = (clock.now_ns() / 1_000) as u32;
+        match setup.step(&mut chip.clone(), now_us, chip.data_ready_edges() as u32) {
+            icm42688p::Progress::Waiting => {}
+            icm42688p::Progress::Failed(icm42688p::SetupError::Identity(0)) => failures_us.push(now_us),
+            icm42688p::Progress::Failed(error) => panic!("{error:?}"),
+            icm42688p::Progress::Done => break,
+        }
+        clock.advance_ns(MS);
+    }
+    let pauses_us: Vec<u32> = failures_us.windows(2).map(|pair| pair[1] - pair[0]).collect();
+    let (close, far) = pauses_us.split_at(5);
+    assert!(close.iter().all(|us| (7_000..=8_000).contains(us)), "{failures_us:?}");
+    assert!(far.len() == 9 && far.iter().all(|us| (152_000..=153_000).contains(us)), "{failures_us:?}");
+    assert!(clock.now_ns() < 1_500 * MS + 215 * MS, "150 ms to the next attempt, and 60 ms for it");
+    assert_eq!(chip.misuse(), []);
+}
+
+#[test]
+fn an_imu_that_never_comes_is_looked_for_once_a_second_after_the_first_attempts() {
+    let (clock, chip) = imu_chip();
+    chip.inject(FOR_EVER, Fault::NoPower);
+    let mut setup = icm42688p::Setup::new(0);
+    let mut failures = 0;
+    while clock.now_ns() < 20_000 * MS {
+        let step = setup.step(&mut chip.clone(), (clock.now_ns() / 1_000) as u32, 0);
+        failures += u32::from(matches!(step, icm42688p::Progress::Failed(_)));
+        clock.advance_ns(MS);
+    }
+    // Twenty in the first 2.2 s, and one in each of the seconds after that.
+    assert!((37..=38).contains(&failures), "{failures}");
+    assert_eq!(setup.attempt(), failures + 1);
+}
+
+#[test]
+fn an_imu_whose_data_ready_line_is_broken_is_refused() {
+    for (kind, edges_per_ms) in [("still", 0), ("half the rate", 1), ("twice the rate", 4), ("noise", 1_000)]
+    {
+        let (clock, chip) = imu_chip();
+        let edges = || (clock.now_ns() / (MS / 2) * edges_per_ms / 4) as u32;
+        let refused = Icm42688p::new(chip, &mut clock.clone(), edges).err();
+        assert!(matches!(refused, Some(icm42688p::SetupError::Rate { .. })), "{kind}: {refused:?}");
+    }
 }
 
 #[test]

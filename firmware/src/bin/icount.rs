@@ -19,6 +19,7 @@ use flight_core::arithmetic::{atan2, sin_cos, sqrt, wrap_pi};
 use flight_core::calibration::{SensorCalibration, SensorFields, SensorModel};
 use flight_core::control::Controller;
 use flight_core::esc::Esc;
+use flight_core::esc::protocol::{DSHOT_SLOTS, DshotThrottle, dshot_duty_pairs};
 use flight_core::estimator::{Estimator, EstimatorParams};
 use flight_core::geometry::Vec3;
 use flight_core::mixer::{Mixer, Saturation, Wrench};
@@ -178,6 +179,13 @@ fn mix(mixer: &Mixer, esc: &Esc, wrench: &Wrench) -> [f32; 4] {
     Mixer::speeds(squares).map(|speed| esc.pulse_us(speed))
 }
 
+/// What DMA plays of four pulses: what the flight board's outputs do in a step beside writing registers.
+#[inline(never)]
+fn dshot_frames(pulses_us: &[f32; 4]) -> [[u32; DSHOT_SLOTS]; 2] {
+    let [m1, m2, m3, m4] = pulses_us.map(|us| DshotThrottle::from_pulse(us).frame(false));
+    [dshot_duty_pairs([m1, m2], 280), dshot_duty_pairs([m3, m4], 280)]
+}
+
 fn stages(gauge: &Gauge) -> Result<(), ConfigError> {
     let params = fixed_input::config().params;
     let mut front = Front::new(&params)?;
@@ -243,6 +251,9 @@ fn stages(gauge: &Gauge) -> Result<(), ConfigError> {
         torque_n_m: front.calibrate(&slot).gyro * 0.3,
     });
     gauge.stage("mixer and ESC", wrenches, |wrench| mix(&mixer, &esc, wrench));
+    let pulses =
+        INPUTS.map(|slot| [0.0, 0.25, 0.5, 0.75].map(|share| 1_000.0 + share * (slot % 1_024) as f32));
+    gauge.stage("4 DShot frames", pulses, dshot_frames);
     Ok(())
 }
 

@@ -3,24 +3,24 @@
 //! | item | what it is |
 //! |---|---|
 //! | `init(core, device) -> Board` | brings the board up, outputs first and at the stop pulse |
-//! | `config() -> Config` | what the flight controller is built from: how the sensors are mounted |
 //! | `Sampler` | [`crate::sampling::Sampler`] on the board's bus |
+//! | `Imu::run()` | a step of the inertial sensor's set-up, without waiting |
 //! | `Outputs::drive(permit, pulses_us)` | sends pulses of rotors 1 to 4; takes the permit by value |
 //! | `Outputs::stop()` | sends the stop pulse to all four |
 //! | `Ear::hear()` | takes a byte from the receiver |
 //! | `Radio::poll() -> Option<RcFrame>` | the next frame that the bytes so far have completed |
 //! | `Supply::measure() -> Option<Battery>` | the battery, without waiting |
 //! | `Compass::run() -> Option<MagSample>` | the magnetometer's new sample; may wait, for less than 5 ms |
-//! | `Watchdog::feed()` | another second |
+//! | `Watchdog::feed()` | another period |
 //! | `Monitor::show(&Step)` | what the board shows of a step: a light, or a record |
 //! | `now_us() -> u32` | free-running microseconds |
-//! | `stop_outputs()` | `Outputs::stop` for a fault, when nothing else runs any more |
-//! | `halt() -> !` | the end, after a fault |
+//! | `stop_after_fault()` | the stop on all four, when nothing else runs any more, whatever state the outputs are in |
+//! | `halt() -> !` | the end, after a fault; the stop goes on |
 //!
 //! # Waking the tasks
 //! RTIC binds a task to one interrupt vector, and takes no vector that depends on the board. So the flight task
 //! is bound to [`WAKE_FLIGHT`], which is the end of the sensor's DMA burst on a flight board, and which each board
-//! also pends when 1.5 periods have passed since the last sample. A dead sensor thus ages in the flight
+//! also raises when 1.5 periods have passed since the last sample. A dead sensor thus ages in the flight
 //! controller, and does not stop it. The `tick` task is bound to SysTick, once a millisecond.
 //!
 //! # Acknowledging interrupts
@@ -34,16 +34,17 @@
 //! | EXTI4 | the line's bit in EXTI_PR, written first |
 //! | TIM5 | CC1IF, read and cleared first; it is the only one of TIM5's interrupts that is on |
 //! | USART2 (`receive`) | `Ear::hear` reads SR and then DR, which clears RXNE and ORE, the two that raise it |
+//! | PVD, NMI | nothing: they stop the motors, and do not come back |
 //! | SysTick (`tick`) | the processor, when it enters the handler |
-//! | CRYP, DCMI (dispatchers) | the same: the F405 has no such peripherals, and software alone pends them |
+//! | CRYP, DCMI, HASH_RNG (dispatchers) | the same: software alone pends them. The F405 has neither of the first two, and its random number generator is off |
 //!
 //! A board's own interrupt handlers note what happened and when, and call [`crate::sampling`]. They have a higher
 //! priority than any other but `receive` ([`SENSE_PRIORITY`]), so that a time is not late because a task runs.
 
 use cortex_m::peripheral::NVIC;
-use flight_core::ArmState;
 use flight_core::arming::Event;
 use flight_core::geometry::Quaternion;
+use flight_core::{ArmState, Config};
 use stm32f4xx_hal::pac::{Interrupt, NVIC_PRIO_BITS};
 
 #[cfg(feature = "speedybee-f405-v4")]
@@ -66,18 +67,22 @@ pub const WAKE_FLIGHT: Interrupt = Interrupt::DMA2_STREAM0;
 
 /// RTIC priority (larger is more urgent) of the interrupts that take times. Tasks have this one or a lower one.
 #[cfg(not(feature = "hil"))]
-pub const SENSE_PRIORITY: u8 = 5;
+pub const SENSE_PRIORITY: u8 = 6;
 
 /// Time from one inertial sample to the next, µs: the rate of [`flight_core::Params::default`].
 pub const PERIOD_US: u32 = 1_000;
 
-/// How long after a sample the next one counts as missing, µs; after that, one step in each period.
+/// How long after a sample the next one counts as overdue, µs; after that, one step in each period.
 pub const OVERDUE_US: u32 = PERIOD_US + PERIOD_US / 2;
 
 /// The board's parts, each of which one task owns.
 pub struct Board {
+    /// What the flight controller is built from. It is within all ranges.
+    pub config: Config,
     /// Where samples come from.
     pub sampler: Sampler,
+    /// The inertial sensor's set-up.
+    pub imu: Imu,
     /// The way to the motors.
     pub outputs: Outputs,
     /// What the board shows of a step.
@@ -115,7 +120,7 @@ pub struct Step {
 }
 
 /// Lets one of a board's own interrupts in, at this RTIC priority.
-fn listen(nvic: &mut NVIC, interrupt: Interrupt, priority: u8) {
+pub fn listen(nvic: &mut NVIC, interrupt: Interrupt, priority: u8) {
     let level = ((1 << NVIC_PRIO_BITS) - priority) << (8 - NVIC_PRIO_BITS);
     // SAFETY: no lock of the tasks is relied on to keep the handler out, or is broken by its coming: the handlers
     // share nothing with tasks but atomics, and what they keep behind a critical section.

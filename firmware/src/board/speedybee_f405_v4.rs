@@ -22,44 +22,53 @@
 use cortex_m::peripheral::NVIC;
 use cortex_m::peripheral::syst::SystClkSource;
 use cortex_m::singleton;
-use drivers::icm42688p::Icm42688p;
 use embedded_hal::delay::DelayNs;
 use embedded_hal::spi::MODE_3;
-use embedded_hal_bus::spi::{ExclusiveDevice, NoDelay};
 use flight_core::arming::MotorPermit;
 use flight_core::calibration::Sensitivity;
 use flight_core::esc::protocol::{Protocol, STOP_US};
 use flight_core::geometry::{Mat3, vec3};
 use flight_core::sample::{MagSample, RcFrame};
-use flight_core::{ArmState, Calibration, Config, Params};
+use flight_core::{ArmState, Config, Params};
 use stm32f4xx_hal::gpio::{self, Edge, PinState, Speed};
-use stm32f4xx_hal::pac::{self, Interrupt, SPI1, TIM3, TIM4, TIM5, interrupt};
+use stm32f4xx_hal::pac::{self, Interrupt, TIM3, TIM4, TIM5, interrupt};
 use stm32f4xx_hal::prelude::*;
 use stm32f4xx_hal::rcc::{self, Enable};
 use stm32f4xx_hal::spi::Spi;
+use stored_config::{DecodeError, MAX_RECORD};
 
 use super::{Board, OVERDUE_US, PERIOD_US, SENSE_PRIORITY, Step, WAKE_FLIGHT, listen};
 use crate::clock::Clock;
+pub use crate::imu::Imu;
 use crate::pilot::Pilot;
 use crate::sampling;
-use crate::stm32f405::burst::{self, ImuBus};
+use crate::stm32f405::burst::{self, ImuBus, ImuSpi};
 use crate::stm32f405::bus::{self, Bus};
-use crate::stm32f405::esc::Lines;
+use crate::stm32f405::esc::{Lines, Sent};
 pub use crate::stm32f405::port::Ear;
 use crate::stm32f405::port::{self, Bytes, Port};
+use crate::stm32f405::power::{self, Failure};
 use crate::stm32f405::reset::Cause;
 pub use crate::stm32f405::reset::Watchdog;
 pub use crate::stm32f405::supply::Supply;
+use crate::stored::{self, Refused};
 use crate::tally::TALLY;
 
 /// The board's name.
 pub const NAME: &str = "SpeedyBee F405 V4";
 
-/// What the ESCs are driven with: to be chosen for the ESC (`docs/hardware.md`).
-const ESC: Protocol = Protocol::Pwm { rate_hz: 400.0 };
-
-/// What was measured on this vehicle's sensors. Without it the firmware does not arm.
-const CALIBRATION: Option<Calibration> = None;
+/// What the ESCs are driven with: to be chosen for the ESC, by the variable `KESTREL_ESC` at build time
+/// (`docs/hardware.md`). The ESC that is sold with this board is specified for DShot300 and DShot600.
+const ESC: Protocol = match option_env!("KESTREL_ESC") {
+    None => Protocol::DShot300,
+    Some(name) => match name.as_bytes() {
+        b"pwm" => Protocol::Pwm { rate_hz: 400.0 },
+        b"oneshot125" => Protocol::OneShot125,
+        b"dshot300" => Protocol::DShot300,
+        b"dshot600" => Protocol::DShot600,
+        _ => panic!("KESTREL_ESC is pwm, oneshot125, dshot300 or dshot600"),
+    },
+};
 
 /// Divider from the battery to its pin, and the pin's ADC channel.
 const BATTERY_RATIO: f32 = 11.0;
@@ -67,37 +76,87 @@ const BATTERY_CHANNEL: u8 = 10;
 
 const LINES: Lines = Lines::new(ESC);
 
-/// Datasheet sensitivities, and the sensor turned as it is on this board: its x points right, its y forward,
-/// its z up.
-pub fn config() -> Config {
-    let mut params = Params::default();
-    let mounting = Mat3 { rows: [vec3(0.0, 1.0, 0.0), vec3(1.0, 0.0, 0.0), vec3(0.0, 0.0, -1.0)] };
-    params.gyro = Sensitivity { mounting, ..params.gyro };
-    params.accel = Sensitivity { mounting, ..params.accel };
-    Config { params, calibration: CALIBRATION }
+/// How the inertial sensor is soldered to this board: its x points right, its y forward, its z up. A row says what a
+/// body axis (forward, right, down) reads of the chip's axes.
+const IMU_MOUNTING: Mat3<f32> =
+    Mat3 { rows: [vec3(0.0, 1.0, 0.0), vec3(1.0, 0.0, 0.0), vec3(0.0, 0.0, -1.0)] };
+
+/// How the magnetometer is mounted on the vehicle, likewise. To be set for the vehicle: `docs/hardware.md` says how to
+/// find it out, and how to check it. As it stands here: the chip's x forward, its y to the right, its z down.
+const MAG_MOUNTING: Mat3<f32> =
+    Mat3 { rows: [vec3(1.0, 0.0, 0.0), vec3(0.0, 1.0, 0.0), vec3(0.0, 0.0, 1.0)] };
+
+unsafe extern "C" {
+    /// The parameter sectors (memory.x): flash, which nothing in this image writes to.
+    safe static STORED_CONFIG: [u8; MAX_RECORD];
 }
 
-/// Brings the board up: clocks, then the stop pulse on the outputs, then everything else.
+/// What the board has and what a vehicle without a stored configuration flies with: datasheet sensitivities, and the
+/// sensors turned as they are mounted.
+fn params() -> Params {
+    let mut params = Params::default();
+    params.gyro = Sensitivity { mounting: IMU_MOUNTING, ..params.gyro };
+    params.accel = Sensitivity { mounting: IMU_MOUNTING, ..params.accel };
+    params.mag = Sensitivity { mounting: MAG_MOUNTING, ..params.mag };
+    params
+}
+
+/// The stored configuration; without one that is sound, the defaults without a calibration, which do not arm.
+///
+/// A function of its own, so that what it takes of the stack is free again when the rest of the board is brought up.
+#[inline(never)]
+fn config() -> Config {
+    let params = params();
+    match stored::read(&STORED_CONFIG, &params) {
+        Ok(mut config) => {
+            // A record is made of a scene, which knows of no mounting.
+            config.params.mag.mounting = MAG_MOUNTING;
+            defmt::info!("configuration: stored, calibrated {=bool}", config.calibration.is_some());
+            config
+        }
+        Err(refused) => {
+            let (what, field) = refused.text();
+            if refused == Refused::Record(DecodeError::Empty) {
+                defmt::warn!("configuration: {=str}, flying needs one", what);
+            } else {
+                defmt::error!("stored configuration refused: {=str}{=str}", what, field);
+            }
+            Config { params, calibration: None }
+        }
+    }
+}
+
+/// Brings the board up: the motor pads low, the watchdog, clocks, the stop on the outputs, then everything else.
 pub fn init(mut core: cortex_m::Peripherals, device: pac::Peripherals) -> Board {
+    // The pads float after a reset, and what an ESC makes of that is its affair. The pull-downs stay for ever: a timer
+    // that is being set up anew does not drive its pads.
+    let mut rcc = device.RCC.constrain();
+    let gpiob = device.GPIOB.split(&mut rcc);
+    let (m1, m2) = (gpiob.pb6.into_pull_down_input(), gpiob.pb7.into_pull_down_input());
+    let (m3, m4) = (gpiob.pb0.into_pull_down_input(), gpiob.pb1.into_pull_down_input());
+
     let watchdog = Watchdog::start(device.IWDG);
+    power::wait_for_supply(&device.PWR, &mut rcc);
     let clocks = rcc::Config::hse(8.MHz()).sysclk(168.MHz()).hclk(168.MHz()).pclk1(42.MHz()).pclk2(84.MHz());
-    let mut rcc = device.RCC.freeze(clocks);
+    let mut rcc = rcc.freeze(clocks);
+    power::watch_crystal(&mut rcc);
     let reset = Cause::take(&mut rcc);
     let gpioa = device.GPIOA.split(&mut rcc);
-    let gpiob = device.GPIOB.split(&mut rcc);
     let gpioc = device.GPIOC.split(&mut rcc);
 
     TIM3::enable(&mut rcc);
     TIM4::enable(&mut rcc);
     pac::DMA1::enable(&mut rcc);
     LINES.start();
-    gpiob.pb6.into_alternate::<2>();
-    gpiob.pb7.into_alternate::<2>();
-    gpiob.pb0.into_alternate::<2>();
-    gpiob.pb1.into_alternate::<2>();
+    // Edges of 20 ns: a 0 of DShot600 is high for 625.
+    m1.into_alternate::<2>().set_speed(Speed::Medium);
+    m2.into_alternate::<2>().set_speed(Speed::Medium);
+    m3.into_alternate::<2>().set_speed(Speed::Medium);
+    m4.into_alternate::<2>().set_speed(Speed::Medium);
 
-    // While a debug probe halts the core, the pulses stop too, and without pulses an ESC stops its motor; and the
-    // watchdog waits. And the probe can read the log while the core sleeps.
+    // While a debug probe halts the core, the timers stand, and without frames or pulses an ESC stops its motor. A pad
+    // that is high then stays high until the core goes on (docs/hardware.md). The watchdog waits. And the probe can
+    // read the log while the core sleeps.
     device
         .DBGMCU
         .apb1_fz()
@@ -113,6 +172,13 @@ pub fn init(mut core: cortex_m::Peripherals, device: pac::Peripherals) -> Board 
     device.TIM5.egr().write(|w| w.ug().set_bit());
     device.TIM5.cr1().write(|w| w.cen().set_bit());
 
+    if let Some(failure) = Failure::take() {
+        defmt::error!("before the reset the motors were stopped: {=str}", failure.name());
+    }
+    if power::brown_out_reset_is_off(&device.FLASH) {
+        defmt::warn!("the brown-out reset is not set");
+    }
+
     let spi = Spi::new(
         device.SPI1,
         (
@@ -126,21 +192,15 @@ pub fn init(mut core: cortex_m::Peripherals, device: pac::Peripherals) -> Board 
         &mut rcc,
     );
     let select = gpioa.pa4.into_push_pull_output_in_state(PinState::High);
-    let Ok(spi) = ExclusiveDevice::new_no_delay(spi, select);
-    let spi = match Icm42688p::new(spi, &mut Wait) {
-        Ok(imu) => Some(imu.release()),
-        Err(error) => {
-            // The flight task runs all the same, and refuses to arm.
-            defmt::error!("inertial sensor: {}", defmt::Debug2Format(&error));
-            None
-        }
-    };
-    let sampler = Sampler::new(ImuBus::new(spi, device.DMA2, &mut rcc));
+    let imu = Imu::new(ImuSpi::new(spi, select));
+    sampling::claim();
+    let sampler = Sampler::new(ImuBus::new(device.DMA2, &mut rcc));
 
     gpioa.pa3.into_alternate::<7>().set_internal_resistor(gpio::Pull::Up);
     let bytes = singleton!(: Bytes = Bytes::new()).expect("init runs once");
     let (ear, port) = port::open(device.USART2, bytes, Pilot::FIRST.line(), &mut rcc);
-    let radio = Radio { port, pilot: Pilot::new(config().params.channels), clock: Clock::new(), damaged: 0 };
+    let config = config();
+    let radio = Radio { port, pilot: Pilot::new(config.params.channels), clock: Clock::new(), damaged: 0 };
 
     gpioc.pc0.into_analog();
     let supply = Supply::new(device.ADC1, &device.ADC_COMMON, BATTERY_CHANNEL, BATTERY_RATIO, &mut rcc);
@@ -148,6 +208,7 @@ pub fn init(mut core: cortex_m::Peripherals, device: pac::Peripherals) -> Board 
     let compass = Compass(crate::compass::Compass::new(bus));
 
     let mut exti = device.EXTI;
+    power::watch_supply(&device.PWR, &exti, &mut core.NVIC);
     let mut data_ready = gpioc.pc4.into_pull_down_input();
     data_ready.make_interrupt_source(&mut device.SYSCFG.constrain(&mut rcc));
     data_ready.trigger_on_edge(&mut exti, Edge::Rising);
@@ -164,7 +225,9 @@ pub fn init(mut core: cortex_m::Peripherals, device: pac::Peripherals) -> Board 
     core.SYST.enable_interrupt();
 
     Board {
+        config,
         sampler,
+        imu,
         outputs: Outputs(()),
         monitor: Monitor { light, steps: 0 },
         ear,
@@ -227,7 +290,7 @@ fn EXTI4() {
     }
 }
 
-/// The sensor's next sample is overdue.
+/// The sensor's next sample is overdue: it is asked for, in case the line is at fault.
 #[interrupt]
 fn TIM5() {
     // The sample may have come while this waited for its turn.
@@ -236,12 +299,15 @@ fn TIM5() {
     }
     let overdue_us = now_us();
     expect_sample_by(overdue_us.wrapping_add(PERIOD_US));
-    sampling::overdue(overdue_us);
-    NVIC::pend(WAKE_FLIGHT);
+    if sampling::poll(overdue_us) {
+        burst::start();
+    } else {
+        NVIC::pend(WAKE_FLIGHT);
+    }
 }
 
 /// The inertial sensor, by DMA.
-pub type Sampler = sampling::Sampler<ImuBus<ExclusiveDevice<Spi<SPI1>, gpio::PA4<gpio::Output>, NoDelay>>>;
+pub type Sampler = sampling::Sampler<ImuBus>;
 
 /// The receiver.
 pub struct Radio {
@@ -261,7 +327,7 @@ impl Radio {
             if found.is_none()
                 && let Some(protocol) = self.pilot.found()
             {
-                defmt::info!("receiver found: {}", defmt::Debug2Format(&protocol));
+                defmt::info!("receiver found: {=str}", protocol.name());
             }
             if frame.is_some() {
                 TALLY.rc.add();
@@ -302,7 +368,7 @@ impl Outputs {
     /// Sends the stop pulse to all four.
     #[inline]
     pub fn stop(&mut self) {
-        stop_outputs();
+        send([STOP_US; 4]);
     }
 }
 
@@ -310,20 +376,62 @@ impl Outputs {
 /// the rear left and 4 at the front left; rotors are counted clockwise from the front left.
 #[inline]
 fn send([front_left, front_right, rear_right, rear_left]: [f32; 4]) {
-    LINES.send([rear_right, front_right, rear_left, front_left]);
-}
-
-/// [`Outputs::stop`], from a fault: what follows is done by hardware alone.
-pub fn stop_outputs() {
-    send([STOP_US; 4]);
-}
-
-/// Stays here until the watchdog resets the board; until then PWM goes on with the stop pulse, and the other
-/// protocols are silent.
-pub fn halt() -> ! {
-    loop {
-        cortex_m::asm::nop();
+    match LINES.send([rear_right, front_right, rear_left, front_left]) {
+        Sent::Whole => {}
+        Sent::Dropped => TALLY.outputs_dropped.add(),
+        Sent::Recovered => TALLY.outputs_recovered.add(),
     }
+}
+
+/// Puts the stop on the motor pads after a fault, in whatever state it has found them. [`crate::stm32f405::esc`] says
+/// how long that takes.
+pub fn stop_after_fault() {
+    // SAFETY: the clocks of a port that nothing else uses any more.
+    unsafe { pac::GPIOB::enable_unchecked() };
+    // SAFETY: it is only read.
+    let on_pll = unsafe { &*pac::RCC::ptr() }.cfgr().read().sws().is_pll();
+    if on_pll {
+        LINES.settle(pads_are_low);
+        connect_pads();
+        send([STOP_US; 4]);
+    } else {
+        // A fault before the clocks are set up, or the crystal has failed. With this clock nothing can be sent: the
+        // pads are low.
+        pull_pads_down();
+    }
+}
+
+/// After [`stop_after_fault`]: stays here until the watchdog resets the board, and goes on sending the stop.
+pub fn halt() -> ! {
+    LINES.stop_for_ever()
+}
+
+fn pads() -> &'static pac::gpiob::RegisterBlock {
+    // SAFETY: after a fault nothing else uses the port, and until then this only reads.
+    unsafe { &*pac::GPIOB::ptr() }
+}
+
+fn pads_are_low() -> bool {
+    let levels = pads().idr().read();
+    levels.idr0().is_low() && levels.idr1().is_low() && levels.idr6().is_low() && levels.idr7().is_low()
+}
+
+/// As [`init`] leaves them: to the timers, pulled down.
+fn connect_pads() {
+    pads()
+        .pupdr()
+        .modify(|_, w| w.pupdr0().pull_down().pupdr1().pull_down().pupdr6().pull_down().pupdr7().pull_down());
+    pads().afrl().modify(|_, w| w.afrl0().af2().afrl1().af2().afrl6().af2().afrl7().af2());
+    pads()
+        .moder()
+        .modify(|_, w| w.moder0().alternate().moder1().alternate().moder6().alternate().moder7().alternate());
+}
+
+fn pull_pads_down() {
+    pads()
+        .pupdr()
+        .modify(|_, w| w.pupdr0().pull_down().pupdr1().pull_down().pupdr6().pull_down().pupdr7().pull_down());
+    pads().moder().modify(|_, w| w.moder0().input().moder1().input().moder6().input().moder7().input());
 }
 
 /// The light.

@@ -22,6 +22,9 @@ use crate::board;
 const RUN_US: u32 = 4_000;
 /// Bits a second.
 const RATE_HZ: u32 = 400_000;
+/// From one look at the status to the next, cycles of the core: a microsecond or two, of the 22 µs that a byte takes.
+/// Looking without a pause would load the peripheral bus, which the inertial sensor's DMA shares, and gain nothing.
+const LOOK_CYCLES: u32 = 200;
 
 static RUN_BEGAN_US: AtomicU32 = AtomicU32::new(0);
 
@@ -173,6 +176,7 @@ fn wait(done: impl Fn(&i2c1::sr1::R) -> bool) -> Result<(), BusError> {
             return Ok(());
         }
         in_time()?;
+        cortex_m::asm::delay(LOOK_CYCLES);
     }
 }
 

@@ -24,28 +24,32 @@ use table::{Conditions, decide, rows};
 const CHECK_US: u32 = 500_000;
 
 /// Whether the motors may turn.
+///
+/// The numbers are codes in a [`StepRecord`](crate::record::StepRecord): a new state gets the next number, and none
+/// changes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+#[repr(u8)]
 pub enum ArmState {
     /// They may not.
     #[default]
-    Disarmed,
+    Disarmed = 0,
     /// They may not yet: the pilot has asked, and everything is checked a little longer.
-    Arming,
+    Arming = 1,
     /// They turn at idle or faster, as the pilot flies.
-    Armed,
+    Armed = 2,
     /// They turn: the flight controller keeps the vehicle level and lets it sink.
-    Descent,
+    Descent = 3,
     /// They were stopped by a fault, and may not turn until the pilot has taken note by disarming.
-    Terminated,
+    Terminated = 4,
     /// One of them may turn, slowly, on the bench.
-    Bench,
+    Bench = 5,
     /// They may not: flash is about to be erased.
-    Maintenance,
+    Maintenance = 6,
 }
 
 impl ArmState {
-    /// All of them.
+    /// All of them, in the order of their numbers.
     pub const ALL: [Self; 7] = [
         Self::Disarmed,
         Self::Arming,
@@ -76,58 +80,89 @@ impl ArmState {
 }
 
 /// Why a state was left, or a request refused.
+///
+/// The numbers are codes in a [`StepRecord`](crate::record::StepRecord): a new cause gets the next number, and none
+/// changes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+#[repr(u8)]
 pub enum Cause {
     /// The pilot asked for it.
-    Pilot,
+    Pilot = 0,
     /// Nothing stood against arming for as long as it is checked.
-    Checked,
+    Checked = 1,
     /// The outputs are locked: USB is plugged in.
-    BenchLock,
+    BenchLock = 2,
     /// No link to the pilot.
-    RcLost,
+    RcLost = 3,
     /// The link to the pilot is back.
-    RcBack,
+    RcBack = 4,
     /// The throttle is not low.
-    ThrottleUp,
+    ThrottleUp = 5,
     /// No valid inertial samples.
-    ImuLost,
+    ImuLost = 6,
     /// An axis of the inertial sensor does not move.
-    ImuStuck,
+    ImuStuck = 7,
     /// The sensors have not been calibrated.
-    NoCalibration,
+    NoCalibration = 8,
     /// The vehicle does not lie still.
-    NotStill,
+    NotStill = 9,
     /// The vehicle does not lie level.
-    NotLevel,
+    NotLevel = 10,
     /// The battery is too low to start with, or not measured.
-    BatteryLow,
+    BatteryLow = 11,
     /// The battery is too low to fly on.
-    BatteryCritical,
+    BatteryCritical = 12,
     /// A task missed its deadline.
-    Overload,
+    Overload = 13,
     /// The descent has taken as long as it may.
-    DescentOver,
+    DescentOver = 14,
     /// The watchdog has reset the board.
-    WatchdogReset,
+    WatchdogReset = 15,
     /// The last fault has not been taken note of: disarm first.
-    NotAcknowledged,
+    NotAcknowledged = 16,
     /// Somebody commands the bench.
-    BenchCommand,
+    BenchCommand = 17,
     /// Nobody commands the bench any more.
-    BenchSilent,
+    BenchSilent = 18,
     /// The bench has been commanded for as long as it may be.
-    BenchExpired,
+    BenchExpired = 19,
     /// Flash is about to be erased.
-    Maintenance,
+    Maintenance = 20,
     /// Flash is not erased any more.
-    MaintenanceOver,
+    MaintenanceOver = 21,
     /// The vehicle does not follow the sticks.
-    Upset,
+    Upset = 22,
 }
 
 impl Cause {
+    /// All of them, in the order of their numbers.
+    pub const ALL: [Self; 23] = [
+        Self::Pilot,
+        Self::Checked,
+        Self::BenchLock,
+        Self::RcLost,
+        Self::RcBack,
+        Self::ThrottleUp,
+        Self::ImuLost,
+        Self::ImuStuck,
+        Self::NoCalibration,
+        Self::NotStill,
+        Self::NotLevel,
+        Self::BatteryLow,
+        Self::BatteryCritical,
+        Self::Overload,
+        Self::DescentOver,
+        Self::WatchdogReset,
+        Self::NotAcknowledged,
+        Self::BenchCommand,
+        Self::BenchSilent,
+        Self::BenchExpired,
+        Self::Maintenance,
+        Self::MaintenanceOver,
+        Self::Upset,
+    ];
+
     /// For people, in a few words.
     pub const fn text(self) -> &'static str {
         match self {

@@ -9,6 +9,7 @@
 //! | PWM | the pulse itself, 50 to 400 times a second | ArduPilot, *PWM, OneShot and OneShot125 ESCs* |
 //! | OneShot125 | an eighth of it: 125 to 250 µs, once a control step | Betaflight, *Oneshot* |
 //! | DShot300 | 16 bits of 3⅓ µs, high for 1.25 µs (0) or 2.5 µs (1) | DShotRMT's README, timing table |
+//! | DShot600 | 16 bits of 1⅔ µs, high for 0.625 µs (0) or 1.25 µs (1) | the same |
 //!
 //! ```text
 //!  DShot:  throttle ───11 bits─── │ telemetry │ ──checksum──      highest bit first
@@ -42,6 +43,8 @@ pub enum Protocol {
     OneShot125,
     /// Digital, 300 kbit/s.
     DShot300,
+    /// Digital, 600 kbit/s.
+    DShot600,
 }
 
 impl Protocol {
@@ -52,7 +55,7 @@ impl Protocol {
     pub fn validate(&self) -> Result<(), ConfigError> {
         match *self {
             Self::Pwm { rate_hz } => check("esc.protocol.rate_hz", rate_hz, 50.0, 400.0),
-            Self::OneShot125 | Self::DShot300 => Ok(()),
+            Self::OneShot125 | Self::DShot300 | Self::DShot600 => Ok(()),
         }
     }
 }
@@ -116,15 +119,39 @@ pub const DSHOT_SLOTS: usize = 18;
 
 /// The compare values that make a timer play a frame, one for each period of `ticks_per_bit` counts.
 ///
-/// A 1 is high for ¾ of a bit, a 0 for ⅜: of 3⅓ µs, 2.5 and 1.25. At 84 MHz a bit of DShot300 has 280 counts.
+/// A 1 is high for ¾ of a bit, a 0 for ⅜: of DShot300's 3⅓ µs, 2.5 and 1.25. At 84 MHz a bit of DShot300 has 280
+/// counts, one of DShot600 140; half a count is 6 ns.
 pub fn dshot_duties(frame: u16, ticks_per_bit: u16) -> [u16; DSHOT_SLOTS] {
-    let eighths = |n: u32| ((u32::from(ticks_per_bit) * n + 4) / 8) as u16;
-    let (zero, one) = (eighths(3), eighths(6));
+    let (zero, one) = bit_duties(ticks_per_bit);
     let mut duties = [0; DSHOT_SLOTS];
     for (duty, bit) in duties.iter_mut().zip((0..u16::BITS).rev()) {
         *duty = if frame >> bit & 1 == 1 { one } else { zero };
     }
     duties
+}
+
+/// [`dshot_duties`] of two frames for DMA that plays them side by side: in each word the first frame's duty is the
+/// lower half, which comes first in memory.
+///
+/// Both at once, because that is half of the work: for each word two bits are picked, and two products added.
+#[inline]
+pub fn dshot_duty_pairs([first, second]: [u16; 2], ticks_per_bit: u16) -> [u32; DSHOT_SLOTS] {
+    let (zero, one) = bit_duties(ticks_per_bit);
+    // A 0's duty in both halves, and what a 1 has more.
+    let zeros = u32::from(zero) * 0x0001_0001;
+    let more = u32::from(one - zero);
+    let (first, second) = (u32::from(first), u32::from(second));
+    let mut duties = [0; DSHOT_SLOTS];
+    for (duty, bit) in duties.iter_mut().zip((0..u16::BITS).rev()) {
+        *duty = zeros + (first >> bit & 1) * more + (second >> bit & 1) * (more << 16);
+    }
+    duties
+}
+
+/// The duties of a 0 and of a 1.
+const fn bit_duties(ticks_per_bit: u16) -> (u16, u16) {
+    let bit = ticks_per_bit as u32;
+    (((bit * 3 + 4) / 8) as u16, ((bit * 6 + 4) / 8) as u16)
 }
 
 #[cfg(test)]
@@ -184,6 +211,14 @@ mod tests {
                 prop_assert!((f64::from(duty) - share * f64::from(ticks)).abs() <= 0.5);
             }
         }
+
+        #[test]
+        fn duties_of_two_frames_are_those_of_each(frames: [u16; 2], ticks: u16) {
+            let pairs = dshot_duty_pairs(frames, ticks);
+            for (index, frame) in frames.into_iter().enumerate() {
+                prop_assert_eq!(pairs.map(|pair| (pair >> (16 * index)) as u16), dshot_duties(frame, ticks));
+            }
+        }
     }
 
     const OUT_OF_RANGE: [(f32, f32); 7] = [
@@ -233,8 +268,9 @@ mod tests {
         for rate_hz in [0.0, 49.9, 400.1, f32::NAN, f32::INFINITY] {
             assert_eq!(validate(rate_hz).unwrap_err().field, "esc.protocol.rate_hz");
         }
-        assert_eq!(Protocol::OneShot125.validate(), Ok(()));
-        assert_eq!(Protocol::DShot300.validate(), Ok(()));
+        for other in [Protocol::OneShot125, Protocol::DShot300, Protocol::DShot600] {
+            assert_eq!(other.validate(), Ok(()));
+        }
     }
 
     #[test]
@@ -298,6 +334,9 @@ mod tests {
         let bits: Vec<u16> =
             played.iter().map(|duty| [105, 210].binary_search(duty).unwrap() as u16).collect();
         assert_eq!(bits, [1, 0, 0, 0, 0, 0, 1, 0, 1, 1, 0, 0, 0, 1, 1, 0]);
+        // DShot600: 0.625 µs are 52.5 counts, 1.25 µs are 105.
+        let [one, zero, ..] = dshot_duties(0x8000, 140);
+        assert_eq!((zero, one), (53, 105));
         // The longest bit of a 16-bit timer does not overflow, and no pulse fills its period.
         for ticks in [8, 140, 281, u16::MAX] {
             let [one, zero, ..] = dshot_duties(0x8000, ticks);

@@ -2,6 +2,7 @@
 
 mod allan;
 mod campaign;
+mod config;
 mod cost;
 mod fly;
 mod hil;
@@ -60,6 +61,8 @@ enum Command {
     Cost(cost::CostArguments),
     /// Make the paper's tables and figures again, on one page with the numbers beside it
     Paper(paper::PaperArguments),
+    /// Write a scene's configuration of the flight controller as the record that a flight board reads at start
+    Config(ConfigArguments),
     /// List the built-in scenes and their effects
     Scenes,
 }
@@ -186,6 +189,15 @@ struct PlanArguments {
 }
 
 #[derive(clap::Args)]
+struct ConfigArguments {
+    /// A built-in scene or a scene file
+    scene: String,
+    /// The record
+    #[arg(long, value_name = "F.bin")]
+    out: PathBuf,
+}
+
+#[derive(clap::Args)]
 struct EstimateArguments {
     /// The log
     log: PathBuf,
@@ -257,6 +269,7 @@ pub fn run() -> ExitCode {
         Command::Plan(a) => listing::plan(a),
         Command::Cost(a) => cost::run(a),
         Command::Paper(a) => paper::run(a),
+        Command::Config(a) => config::run(a),
         Command::Scenes => listing::scenes(),
     };
     match answer {

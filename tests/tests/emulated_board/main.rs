@@ -81,7 +81,7 @@ fn steps_on_the_host() -> Vec<Words> {
 }
 
 /// The stages that have a budget.
-const STAGES: [&str; 12] = [
+const STAGES: [&str; 13] = [
     "calibration of 3 sensors",
     "9 prefilters",
     "first sample of 9 prefilters",
@@ -91,6 +91,7 @@ const STAGES: [&str; 12] = [
     "estimator robust 9-axis",
     "control",
     "mixer and ESC",
+    "4 DShot frames",
     "sticks",
     "step in flight 9-axis every time",
     // Everything at once that a flight can bring, and what the ground adds to it.

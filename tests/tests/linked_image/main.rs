@@ -63,14 +63,18 @@ const FAST_LOOP: [&str; 3] = ["DMA2_STREAM0", "EXTI4", "TIM5"];
 /// The RTIC priority of each handler. Tasks: `#[task]` in `firmware/src/main.rs`; asynchronous tasks run in
 /// the vector of the dispatcher of their priority, of which the lowest comes first in `dispatchers`. The
 /// board's own interrupts: `SENSE_PRIORITY` in `firmware/src/board/mod.rs`.
-const HANDLERS: [(&str, u8); 7] = [
+const HANDLERS: [(&str, u8); 10] = [
     ("CRYP", 1),         // compass
-    ("DCMI", 2),         // supply, health, announce
-    ("SysTick", 3),      // tick
-    ("DMA2_STREAM0", 4), // flight
-    ("EXTI4", 5),        // data ready
-    ("TIM5", 5),         // sample overdue
-    ("USART2", 5),       // receive
+    ("DCMI", 2),         // imu, health, announce
+    ("HASH_RNG", 3),     // supply
+    ("SysTick", 4),      // tick
+    ("DMA2_STREAM0", 5), // flight
+    ("EXTI4", 6),        // data ready
+    ("TIM5", 6),         // sample overdue
+    ("USART2", 6),       // receive
+    ("PVD", 7),          // the supply is too low
+    // Above all priorities: the crystal has failed.
+    ("NonMaskableInt", 17),
 ];
 
 /// Where a panic begins: beginnings of names.
@@ -86,9 +90,8 @@ const PANICS: [&str; 9] = [
     "defmt::export::panic",
 ];
 
-/// How many values within values the log formats through `core::fmt`, whose functions call each other in
-/// cycles: an error of the inertial sensor, in it the bus's, in it the peripheral's; and one for the
-/// reference around it.
+/// How many values within values are formatted through `core::fmt`, whose functions call each other in cycles. The log
+/// formats none; a panic's message does, up to which nothing is counted. So this is room.
 const FORMATTED_DEPTH: u32 = 4;
 
 /// What the processor saves when an interrupt comes: 8 words, 18 of the floating-point unit (for which it

@@ -45,7 +45,7 @@ mod chip;
 mod source;
 
 pub use chip::{NAME, halt};
-pub use source::{Compass, Monitor, Radio, Supply, Watchdog, config};
+pub use source::{Compass, Monitor, Radio, Supply, Watchdog};
 
 /// The emulator's TIM4 has a prescaler of 3 then, which makes it count instructions.
 const LINES: Lines = Lines::new(Protocol::Pwm { rate_hz: 400.0 });
@@ -63,7 +63,9 @@ pub fn init(mut core: cortex_m::Peripherals, device: pac::Peripherals) -> Board 
     let watchdog_reset = source::begin(&mut core.NVIC);
 
     Board {
+        config: source::config(),
         sampler: Sampler::new(Frames),
+        imu: Imu,
         outputs: Outputs(()),
         monitor: Monitor::default(),
         ear: Ear,
@@ -124,6 +126,9 @@ fn play(sample: ImuSample) {
 pub struct Frames;
 
 impl BurstBus for Frames {
+    /// Whoever plays the sensor plays its end too.
+    const SETS_UP: bool = false;
+
     /// Software pends the vector here, and so nothing stays up: the frame is there before the vector is pended.
     #[inline]
     fn acknowledge(&mut self) -> Signal {
@@ -141,6 +146,14 @@ impl BurstBus for Frames {
 /// The slots' samples.
 pub type Sampler = sampling::Sampler<Frames>;
 
+/// The sensor is played, and never set up.
+pub struct Imu;
+
+impl Imu {
+    /// Is never called.
+    pub fn run(&mut self) {}
+}
+
 /// No bytes come.
 pub struct Ear;
 
@@ -156,7 +169,8 @@ static DRIVEN: AtomicBool = AtomicBool::new(false);
 #[inline]
 fn send(driven: bool, pulses_us: [f32; 4]) {
     let [front_left, front_right, rear_right, rear_left] = pulses_us;
-    LINES.send([rear_right, front_right, rear_left, front_left]);
+    // PWM takes every pulse.
+    let _ = LINES.send([rear_right, front_right, rear_left, front_left]);
     WRITTEN.store(chip::instructions(), Ordering::Relaxed);
     DRIVEN.store(driven, Ordering::Relaxed);
     for (sent, us) in SENT.iter().zip(pulses_us) {
@@ -177,12 +191,12 @@ impl Outputs {
     /// Sends the stop pulse to all four.
     #[inline]
     pub fn stop(&mut self) {
-        stop_outputs();
+        send(false, [STOP_US; 4]);
     }
 }
 
 /// [`Outputs::stop`], from a fault.
-pub fn stop_outputs() {
+pub fn stop_after_fault() {
     send(false, [STOP_US; 4]);
 }
 

@@ -43,10 +43,19 @@ pub fn config() -> Config {
 
 /// Starts the ticks, and prepares the first slot.
 pub fn begin(nvic: &mut NVIC) -> bool {
-    // 1 GHz down to microseconds. Setting the period starts the alarm; before that, the count must be small.
+    // 1 GHz down to microseconds. Setting the period starts the alarm; before that, the count must be small. The
+    // emulator's period is what is set and, on top, the time from power-up to here in whole microseconds. The timer has
+    // counted the nanoseconds of that time, as long as it has no prescaler: it is taken off, early in a microsecond, so
+    // that none ends meanwhile.
+    let since_power_up_ns = loop {
+        let ns = tim2().cnt().read().cnt().bits();
+        if ns % 1_000 < 500 {
+            break ns;
+        }
+    };
     tim2().psc().write(|w| w.psc().set(999));
     tim2().egr().write(|w| w.ug().set_bit());
-    tim2().arr().write(|w| w.arr().set(TICK_US - 1));
+    tim2().arr().write(|w| w.arr().set(TICK_US - since_power_up_ns / 1_000));
     tim2().dier().write(|w| w.uie().set_bit());
     tim2().cr1().write(|w| w.cen().set_bit());
     listen(nvic, Interrupt::TIM2, SENSE_PRIORITY);

@@ -1,0 +1,442 @@
+//! A board as a wiring table, and the microcontroller with what is soldered and plugged to it.
+
+use std::num::{NonZeroU32, NonZeroU64};
+use std::path::Path;
+
+use rigless::cpu::armv7m as cpu;
+use rigless::device::{ErasedDevice, Level, ResetCause};
+use rigless::image::Image;
+use rigless::machine::{Board, Target, armv7m};
+use rigless::mcu::Mcu;
+use rigless::snapshot::{self, Store};
+use rigless::soc::stm32f427::peripherals::adc::Channel as Analog;
+use rigless::soc::stm32f427::peripherals::gpio::Pin;
+use rigless::soc::stm32f427::peripherals::spi::Select;
+use rigless::soc::{Bus, Error};
+use rigless::time::VirtualNanos;
+
+use crate::chip::exti::PVD_LINE;
+use crate::chip::stm32f405::{PORTS, Stm32f405};
+use crate::compass::Compass;
+use crate::imu::Imu;
+use crate::pads::{Line, PADS};
+use crate::radio::{Protocol, Radio};
+
+/// Instructions a second of virtual time: two cycles of 168 MHz for each, as `docs/timing.md` assumes. A setting, not
+/// a measurement: no wait states of the flash, no caches, no contention on the bus.
+pub const INSTRUCTIONS_PER_SECOND: u64 = 84_000_000;
+
+/// The core's clock once the firmware has set it up, which times SysTick, Hz.
+const CORE_HZ: u64 = 168_000_000;
+
+/// Supply of the microcontroller, mV.
+pub const SUPPLY_MV: u32 = 3_300;
+
+/// A pin: port (0 for A) and number.
+#[derive(Clone, Copy, Debug)]
+pub struct Wire {
+    /// 0 for port A.
+    pub port: usize,
+    /// 0 to 15.
+    pub pin: u8,
+}
+
+const fn pin(port: u8, pin: u8) -> Wire {
+    Wire { port: (port - b'A') as usize, pin }
+}
+
+/// A motor pad.
+#[derive(Clone, Copy, Debug)]
+pub struct Pad {
+    /// Its name on the board.
+    pub name: &'static str,
+    /// Its pin.
+    pub wire: Wire,
+    /// Timer, 0 for TIM2, and its channel; what the pin carries with alternate function 2.
+    pub timer: usize,
+    /// 1 to 4.
+    pub channel: u8,
+    /// The rotor whose ESC is plugged there, 0 for the front left, clockwise.
+    pub rotor: usize,
+}
+
+/// Rows of a signed permutation: what the chip's x, y, z are of the body's forward, right, down.
+pub type Axes = [(usize, i32); 3];
+
+/// What is wired to what.
+#[derive(Debug)]
+pub struct Wiring {
+    /// For the command line.
+    pub name: &'static str,
+    /// For people.
+    pub title: &'static str,
+    /// High-speed crystal, Hz.
+    pub crystal_hz: u64,
+    /// SPI of the inertial sensor, 0 for SPI1, and its chip select, low.
+    pub imu_spi: usize,
+    /// Its chip select.
+    pub imu_select: Wire,
+    /// Its INT1.
+    pub imu_ready: Wire,
+    /// How it lies on the board.
+    pub imu_axes: Axes,
+    /// I2C of the magnetometer, 0 for I2C1.
+    pub compass_i2c: usize,
+    /// Its data line.
+    pub compass_data: Wire,
+    /// How it lies in the vehicle.
+    pub compass_axes: Axes,
+    /// Serial port of the receiver, by its place in `rigless`'s list.
+    pub radio_usart: usize,
+    /// Its registers' first address, and whether it runs on APB1.
+    pub radio_base: u64,
+    /// ADC1's channel of the battery.
+    pub battery_channel: u8,
+    /// Volts of the battery for one at the pin.
+    pub battery_ratio: f64,
+    /// The motor pads.
+    pub pads: [Pad; PADS],
+}
+
+/// SpeedyBee F405 V4: pins as in Betaflight's `configs/SPEEDYBEEF405V4/config.h` and ArduPilot's
+/// `hwdef/speedybeef4v4/hwdef.dat`. The sensor's x points right, its y forward, its z up; M1 is at the rear right, M2
+/// at the front right, M3 at the rear left, M4 at the front left, as a 4-in-1 ESC for it is wired. The magnetometer
+/// lies along the vehicle's axes.
+pub static SPEEDYBEE_F405_V4: Wiring = Wiring {
+    name: "speedybee-f405-v4",
+    title: "SpeedyBee F405 V4",
+    crystal_hz: 8_000_000,
+    imu_spi: 0,
+    imu_select: pin(b'A', 4),
+    imu_ready: pin(b'C', 4),
+    imu_axes: [(1, 1), (0, 1), (2, -1)],
+    compass_i2c: 0,
+    compass_data: pin(b'B', 9),
+    compass_axes: [(0, 1), (1, 1), (2, 1)],
+    radio_usart: 1,
+    radio_base: 0x4000_4400,
+    battery_channel: 10,
+    battery_ratio: 11.0,
+    pads: [
+        Pad { name: "M1", wire: pin(b'B', 6), timer: 2, channel: 1, rotor: 2 },
+        Pad { name: "M2", wire: pin(b'B', 7), timer: 2, channel: 2, rotor: 1 },
+        Pad { name: "M3", wire: pin(b'B', 0), timer: 1, channel: 3, rotor: 3 },
+        Pad { name: "M4", wire: pin(b'B', 1), timer: 1, channel: 4, rotor: 0 },
+    ],
+};
+
+/// All boards.
+pub static BOARDS: [&Wiring; 1] = [&SPEEDYBEE_F405_V4];
+
+/// A vector of counts along the body's axes, along the chip's.
+pub fn to_chip(axes: &Axes, body: [i16; 3]) -> [i16; 3] {
+    axes.map(|(from, sign)| {
+        let counts = i32::from(body[from]) * sign;
+        // The chip's lowest value is −32,766; only the largest number has no negative.
+        counts.clamp(i32::from(i16::MIN), i32::from(i16::MAX)) as i16
+    })
+}
+
+/// Whether a register at this address may change what a motor pad carries: TIM3, TIM4, port B, clocks and resets.
+pub fn touches_pads(address: u64) -> bool {
+    is_motor_timer(address) || matches!(address, 0x4002_0400..0x4002_0800 | 0x4002_3800..0x4002_3c00)
+}
+
+/// Whether a register at this address is one of TIM3 or TIM4.
+pub fn is_motor_timer(address: u64) -> bool {
+    matches!(address, 0x4000_0400..0x4000_0c00)
+}
+
+/// Whether a register at this address is one of DMA1 or DMA2.
+pub fn is_dma(address: u64) -> bool {
+    matches!(address, 0x4002_6000..0x4002_6800)
+}
+
+/// Alternate function of TIM3, TIM4 and TIM5 at their pins.
+const TIMER_FUNCTION: u8 = 2;
+
+/// The microcontroller with its pins wired.
+#[derive(Debug)]
+pub struct Machine {
+    /// The microcontroller.
+    pub part: Stm32f405,
+    wiring: &'static Wiring,
+    ready: Option<bool>,
+    supply_low: bool,
+    data_held: bool,
+    functions: [Option<Level>; PADS],
+    /// The ports do not know the functions yet.
+    stale: bool,
+    now: VirtualNanos,
+    pad_ports: Vec<usize>,
+    lines: [Line; PADS],
+    /// Changes at the pads since they were last taken: when (ns), pad, what.
+    edges: Vec<(u64, usize, Line)>,
+}
+
+impl Machine {
+    fn new(wiring: &'static Wiring, protocol: Protocol) -> Result<Self, Error> {
+        let mut part = Stm32f405::new()?;
+        part.rcc.attach_crystals(wiring.crystal_hz, 0);
+        part.set_supply(SUPPLY_MV);
+        part.spi[wiring.imu_spi].attach_selected(
+            Imu::new(),
+            Select {
+                port: PORTS[wiring.imu_select.port],
+                pin: pin_of(wiring.imu_select),
+                active: Level::Low,
+            },
+        );
+        part.i2c[wiring.compass_i2c].interface.attach(Compass::new());
+        part.usart[wiring.radio_usart].attach(Radio::new(protocol));
+        for adc in &mut part.adc {
+            adc.set_reference(SUPPLY_MV);
+            adc.set_backup_battery(SUPPLY_MV);
+        }
+        let pad_ports = wiring.pads.iter().map(|pad| part.port_slot(pad.wire.port)).collect();
+        Ok(Self {
+            part,
+            wiring,
+            ready: None,
+            supply_low: false,
+            data_held: false,
+            functions: [None; PADS],
+            stale: false,
+            now: VirtualNanos(0),
+            pad_ports,
+            lines: [Line::Floating; PADS],
+            edges: Vec::new(),
+        })
+    }
+
+    /// The inertial sensor.
+    pub fn imu(&mut self) -> &mut Imu {
+        self.part.spi[self.wiring.imu_spi].chip_mut(0).expect("it was attached")
+    }
+
+    /// The magnetometer.
+    pub fn compass(&mut self) -> &mut Compass {
+        self.part.i2c[self.wiring.compass_i2c].interface.chip_mut(0).expect("it was attached")
+    }
+
+    /// The receiver.
+    pub fn radio(&mut self) -> &mut Radio {
+        self.part.usart[self.wiring.radio_usart].chip_mut().expect("it was attached")
+    }
+
+    /// The battery, V.
+    pub fn set_battery(&mut self, volts: f64) {
+        let channel = Analog::new(self.wiring.battery_channel).expect("a channel of ADC1");
+        let millivolts = (volts * 1_000.0 / self.wiring.battery_ratio).round().clamp(0.0, 3_300.0);
+        self.part.adc[0].set_input(channel, millivolts as u32);
+    }
+
+    /// Something holds the I2C data line low, or lets it go.
+    pub fn hold_compass_bus(&mut self, held: bool) {
+        self.part.i2c[self.wiring.compass_i2c].held_low = held;
+    }
+
+    /// The supply of the microcontroller, mV.
+    pub fn set_supply(&mut self, millivolts: u32) {
+        self.part.set_supply(millivolts);
+    }
+
+    /// Whether the receiver's port is set up as its line is: within 3 % of the baud rate, the same parity and stop
+    /// bits. Bytes that arrive at another port are garbled.
+    pub fn check_radio_line(&mut self) {
+        use rigless::soc::stm32f427::generated::usart6::{Register, cr1, cr2};
+        let line = self.radio().protocol.line();
+        let instance = rigless::soc::stm32f427::peripherals::SERIAL_PORTS[self.wiring.radio_usart].instance;
+        let Some(registers) = self.part.bus().registers(instance) else { return };
+        let divider = registers.get(Register::Brr);
+        let (control, stop) = (registers.get(Register::Cr1), registers.get(Register::Cr2));
+        let clock_hz = CORE_HZ / 4;
+        let baud = if divider == 0 { 0 } else { clock_hz / divider };
+        let wanted = u64::from(line.baud);
+        let right = baud.abs_diff(wanted) * 100 <= 3 * wanted
+            && cr1::PCE.is_set(control) == line.parity
+            && cr1::M.is_set(control) == line.parity
+            && !cr1::PS.is_set(control)
+            && (cr2::STOP.get(stop) == 2) == (line.stop_bits == 2);
+        let framing = &mut self.part.usart[self.wiring.radio_usart].errors_mut().framing;
+        framing.per_million = if right { 0 } else { 1_000_000 };
+    }
+
+    /// Follows the pads at `now`.
+    pub fn follow_pads(&mut self, now: VirtualNanos) {
+        for (n, pad) in self.wiring.pads.iter().enumerate() {
+            let pin = pin_of(pad.wire);
+            let (timer, registers) = self.part.timer(pad.timer);
+            let output = timer.output(pad.channel, registers);
+            let (_, port) = self.part.port(pad.wire.port);
+            let carried = rigless::soc::stm32f427::peripherals::gpio::Gpio::function(pin, port);
+            let function = output.filter(|_| carried == Some(TIMER_FUNCTION));
+            if function != self.functions[n] {
+                self.functions[n] = function;
+                self.stale = true;
+            }
+            let line = match function {
+                Some(level) => level.into(),
+                None => self.line(pad),
+            };
+            if line != self.lines[n] {
+                self.lines[n] = line;
+                self.edges.push((now.0, n, line));
+            }
+        }
+    }
+
+    /// What a pad carries that its timer does not drive.
+    fn line(&self, pad: &Pad) -> Line {
+        use rigless::soc::stm32f427::generated::gpioa::Register;
+        let (gpio, registers) = self.part.port(pad.wire.port);
+        let field = |register| registers.get(register) >> (2 * pad.wire.pin) & 3;
+        let output = field(Register::Moder) == 1;
+        let analog = field(Register::Moder) == 3;
+        let pulled = field(Register::Pupdr) != 0 && !analog;
+        if output || pulled { gpio.level(pin_of(pad.wire), registers).into() } else { Line::Floating }
+    }
+
+    /// Tells the ports what the timers drive: for whoever reads the pins. Not at every edge, which nobody reads.
+    fn refresh_ports(&mut self) {
+        if !std::mem::take(&mut self.stale) {
+            return;
+        }
+        for (pad, function) in self.wiring.pads.iter().zip(self.functions) {
+            self.part.drive_port(self.now, pad.wire.port, |gpio, registers, context| {
+                gpio.drive_function(pin_of(pad.wire), function, registers, context);
+            });
+        }
+    }
+
+    /// Changes at the pads since this was last asked.
+    pub fn take_edges(&mut self) -> Vec<(u64, usize, Line)> {
+        std::mem::take(&mut self.edges)
+    }
+}
+
+fn pin_of(wire: Wire) -> Pin {
+    Pin::new(wire.pin).expect("sixteen pins a port")
+}
+
+impl Mcu for Machine {
+    fn bus(&self) -> &Bus {
+        self.part.bus()
+    }
+
+    fn bus_mut(&mut self) -> &mut Bus {
+        self.part.bus_mut()
+    }
+
+    fn reset(&mut self, at: VirtualNanos, cause: ResetCause) {
+        self.part.reset(at, cause);
+        self.part.tell_chips(at);
+        // Levels that are put on pins from outside stand; the ports have forgotten them.
+        self.ready = None;
+        self.data_held = false;
+        self.functions = [None; PADS];
+        self.stale = false;
+        self.follow_pads(at);
+    }
+
+    fn poll(&mut self, now: VirtualNanos) {
+        self.now = now;
+        self.part.poll(now);
+        let high = self.imu().int1();
+        if self.ready != Some(high) {
+            self.ready = Some(high);
+            let wire = self.wiring.imu_ready;
+            self.part.drive_port(now, wire.port, |gpio, registers, context| {
+                gpio.drive(pin_of(wire), Some(Level::from(high)), registers, context);
+            });
+        }
+        let held = self.part.i2c[self.wiring.compass_i2c].held_low;
+        if self.data_held != held {
+            self.data_held = held;
+            let wire = self.wiring.compass_data;
+            self.part.drive_port(now, wire.port, |gpio, registers, context| {
+                gpio.drive(pin_of(wire), held.then_some(Level::Low), registers, context);
+            });
+        }
+        let low = self.part.supply_is_low();
+        if self.supply_low != low {
+            self.supply_low = low;
+            self.part.drive_exti(now, PVD_LINE, low);
+        }
+        let touched = self.wiring.pads.iter().map(|pad| pad.timer);
+        if touched.fold(false, |any, timer| any | self.part.tim[timer].take_touched()) {
+            self.follow_pads(now);
+        }
+    }
+
+    fn split(&mut self, slot: usize) -> (&mut Bus, Option<&mut dyn ErasedDevice>) {
+        if self.stale && self.pad_ports.contains(&slot) {
+            self.refresh_ports();
+        }
+        self.part.split(slot)
+    }
+}
+
+/// The board: one microcontroller.
+#[derive(Debug)]
+pub struct FlightBoard {
+    /// It.
+    pub machine: Machine,
+    /// What is wired to what.
+    pub wiring: &'static Wiring,
+    factory: Image,
+}
+
+impl FlightBoard {
+    /// The board with its supply off.
+    ///
+    /// # Errors
+    /// The description does not hold together.
+    pub fn new(wiring: &'static Wiring, protocol: Protocol) -> Result<Self, Error> {
+        // VREFINT_CAL, which ST's factory writes: the reference's count at 3.3 V (1.21 V of 3.3 V in 4,095).
+        let calibration = 1_500_u16.to_le_bytes().to_vec();
+        let factory = Image::new(Path::new("vrefint_cal"), calibration, Some(0x1fff_7a2a))
+            .expect("two bytes at a place of their own");
+        Ok(Self { machine: Machine::new(wiring, protocol)?, wiring, factory })
+    }
+}
+
+impl Store for FlightBoard {
+    fn store(&self, _: &mut snapshot::Writer) -> Result<(), snapshot::Error> {
+        Err(snapshot::Error::Failed)
+    }
+
+    fn load(&mut self, _: &mut snapshot::Reader) -> Result<(), snapshot::Error> {
+        Err(snapshot::Error::Failed)
+    }
+}
+
+impl Board for FlightBoard {
+    fn name(&self) -> &'static str {
+        self.wiring.name
+    }
+
+    fn target_names(&self) -> Vec<&'static str> {
+        vec!["stm32f405"]
+    }
+
+    fn mcu(&mut self, target: usize) -> Option<&mut dyn Mcu> {
+        (target == 0).then_some(&mut self.machine)
+    }
+
+    fn targets(&mut self) -> Vec<Target<'_>> {
+        let core = armv7m::Core {
+            variant: armv7m::Variant::M4,
+            clock_hz: NonZeroU64::new(CORE_HZ).expect("it is not zero"),
+            interrupt_lines: NonZeroU32::new(82).expect("it is not zero"),
+            priority_bits: 4,
+            refclk_divider: NonZeroU32::new(8).expect("it is not zero"),
+            instructions_per_second: NonZeroU64::new(INSTRUCTIONS_PER_SECOND).expect("it is not zero"),
+            boot: "flash",
+        };
+        let windows = cpu::windows(self.machine.bus());
+        let mut spec = core.spec_with_parts(&windows, armv7m::Fpu::FpV4Sp, armv7m::MpuRegions::Eight);
+        spec.factory_images.push(self.factory.clone());
+        vec![Target::new("stm32f405", &mut self.machine, spec)]
+    }
+}

@@ -1,0 +1,583 @@
+//! The microcontroller: which instances it has, where, behind which clock, and who hears whose requests.
+//!
+//! The instances' addresses, register layouts and clock outputs are those of the STM32F427, from which the ones that
+//! the F405 lacks are left out; memory, DMA requests of the timers, external interrupts and the flash array are its
+//! own. All of it is RM0090 rev 22, which covers both.
+//!
+//! | Region | Address | Size | |
+//! |---|---|---|---|
+//! | flash | 0x0800_0000 | 1 MiB | programmed through FLASH |
+//! | CCM | 0x1000_0000 | 64 KiB | DMA can't reach it: [`Stm32f405::unreachable_by_dma`] |
+//! | system | 0x1FFF_0000 | 32 KiB | factory calibration |
+//! | SRAM | 0x2000_0000 | 112 + 16 KiB | |
+//! | backup SRAM | 0x4002_4000 | 4 KiB | |
+//!
+//! An access to anything else is a bus fault.
+
+use std::num::{NonZeroU32, NonZeroU64};
+use std::sync::LazyLock;
+
+use rigless::chip::Timeline;
+use rigless::cpu::armv7m::{self, Dwt};
+use rigless::device::{DeviceContext, ErasedDevice, RegisterFile, ResetCause};
+use rigless::mcu::{Mcu, Operate};
+use rigless::snapshot::{self, Store};
+use rigless::soc::stm32f427::generated::{self, dbg, pwr, rcc as rcc_registers, rtc as rtc_registers};
+use rigless::soc::stm32f427::peripherals::{
+    self as parts, ADC_COMMON, ADVANCED_TIMERS, CONTROLLERS, CONVERTERS, I2C_INTERFACES, SERIAL_PORTS, TIMERS,
+};
+use rigless::soc::stm32f427::{self, CPU};
+use rigless::soc::{Bus, EraseBlocks, Error, Gate, Peripheral, Region, WriteModify, find_field};
+use rigless::time::VirtualNanos;
+
+use parts::adc::{Adc, AdcCommon};
+use parts::dbg::Dbg;
+use parts::dma::{Dma, Wire};
+use parts::flash::{self, Flash};
+use parts::gpio::Gpio;
+use parts::i2c::I2c as I2cInterface;
+use parts::iwdg::Iwdg;
+use parts::pwr::Pwr;
+use parts::rcc::{self, Rcc};
+use parts::rtc::Rtc;
+use parts::spi::Spi;
+use parts::tim::{Advanced, Tim, UPDATE_REQUEST};
+use parts::usart::Usart;
+
+use super::exti::{self, Exti, Syscfg};
+use super::flash::FlashArray;
+use super::i2c::I2c;
+use super::timer::Timer;
+
+const fn sectors(bytes: u64, count: u32) -> EraseBlocks {
+    match (NonZeroU64::new(bytes), NonZeroU32::new(count)) {
+        (Some(size), Some(count)) => EraseBlocks { size, count },
+        _ => panic!("a sector has bytes"),
+    }
+}
+
+static SECTORS: [EraseBlocks; 3] = [sectors(16 << 10, 4), sectors(64 << 10, 1), sectors(128 << 10, 7)];
+
+/// The core-coupled memory: first address and size, bytes.
+const CCM: (u64, u64) = (0x1000_0000, 64 << 10);
+
+static MEMORY: [Region; 5] = [
+    Region::flash("flash", super::flash::BASE, 1 << 20)
+        .erased_in(&SECTORS)
+        .erased_to(0xff)
+        .programmed_by("FLASH"),
+    Region::ram("ccm", CCM.0, CCM.1),
+    Region::system("system", 0x1fff_0000, 32 << 10),
+    Region::ram("sram", 0x2000_0000, (112 + 16) << 10),
+    Region::ram("backup_sram", 0x4002_4000, 4 << 10),
+];
+
+/// What the STM32F427 has and the F405 lacks (RM0090, table 1).
+const ABSENT: [&str; 12] =
+    ["UART7", "UART8", "SPI4", "SPI5", "SPI6", "SAI1", "GPIOJ", "GPIOK", "DMA2D", "CRYP", "HASH", "FMC"];
+
+/// The ports, in the order of [`Stm32f405::gpio`].
+pub const PORTS: [&str; 9] =
+    ["GPIOA", "GPIOB", "GPIOC", "GPIOD", "GPIOE", "GPIOF", "GPIOG", "GPIOH", "GPIOI"];
+const SERIAL_INTERFACES: [&str; 3] = ["SPI1", "SPI2", "SPI3"];
+
+/// Clock enable registers, each with its reset register (RM0090, 7.3.5 to 7.3.14).
+const ENABLES: [(&str, &str); 5] = [
+    ("AHB1ENR", "AHB1RSTR"),
+    ("AHB2ENR", "AHB2RSTR"),
+    ("AHB3ENR", "AHB3RSTR"),
+    ("APB1ENR", "APB1RSTR"),
+    ("APB2ENR", "APB2RSTR"),
+];
+
+/// Update requests of the timers (RM0090, table 42): instance, channel, streams of DMA1.
+const TIMER_UPDATES: [(&str, usize, &[usize]); 4] =
+    [("TIM2", 3, &[1, 7]), ("TIM3", 5, &[2]), ("TIM4", 2, &[6]), ("TIM5", 6, &[0, 6])];
+
+static DMA1_WIRING: LazyLock<Vec<Wire>> = LazyLock::new(|| {
+    let updates = TIMER_UPDATES.iter().map(|&(instance, channel, streams)| Wire {
+        instance,
+        request: UPDATE_REQUEST,
+        channel,
+        streams,
+    });
+    CONTROLLERS[0].wiring.iter().copied().chain(updates).collect()
+});
+
+/// The internal oscillator, on which everything runs at first.
+const RESET_HZ: u64 = rcc::HSI_HZ;
+
+/// Which model answers for a slot.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Field {
+    None,
+    Rcc,
+    Pwr,
+    Gpio(usize),
+    Spi(usize),
+    Usart(usize),
+    I2c(usize),
+    Flash,
+    Adc(usize),
+    AdcCommon,
+    Tim(usize),
+    Advanced(usize),
+    Dma(usize),
+    Rtc,
+    Dbg,
+    Iwdg,
+    Dwt,
+    Exti,
+    Syscfg,
+}
+
+/// The field that answers for an instance.
+fn field_of(instance: &str) -> Field {
+    let nth = |list: &[&str]| list.iter().position(|&name| name == instance);
+    let timer = |list: &[parts::Timer]| list.iter().position(|timer| timer.instance == instance);
+    match instance {
+        "RCC" => return Field::Rcc,
+        "PWR" => return Field::Pwr,
+        "FLASH" => return Field::Flash,
+        "RTC" => return Field::Rtc,
+        "DBG" => return Field::Dbg,
+        "IWDG" => return Field::Iwdg,
+        "EXTI" => return Field::Exti,
+        "SYSCFG" => return Field::Syscfg,
+        ADC_COMMON => return Field::AdcCommon,
+        armv7m::DWT => return Field::Dwt,
+        _ => {}
+    }
+    nth(&PORTS)
+        .map(Field::Gpio)
+        .or_else(|| nth(&SERIAL_INTERFACES).map(Field::Spi))
+        .or_else(|| SERIAL_PORTS.iter().position(|port| port.instance == instance).map(Field::Usart))
+        .or_else(|| nth(&I2C_INTERFACES).map(Field::I2c))
+        .or_else(|| nth(&CONVERTERS).map(Field::Adc))
+        .or_else(|| timer(&TIMERS).map(Field::Tim))
+        .or_else(|| timer(&ADVANCED_TIMERS).map(Field::Advanced))
+        .or_else(|| CONTROLLERS.iter().position(|dma| dma.instance == instance).map(Field::Dma))
+        .unwrap_or(Field::None)
+}
+
+/// The whole microcontroller. A board puts its chips on the fields.
+#[derive(Debug)]
+pub struct Stm32f405 {
+    /// Clocks and resets.
+    pub rcc: Rcc,
+    /// Supply.
+    pub pwr: Pwr,
+    /// Ports A to I.
+    pub gpio: [Gpio; PORTS.len()],
+    /// SPI1 to SPI3.
+    pub spi: [Spi; SERIAL_INTERFACES.len()],
+    /// The serial ports, in the order of `SERIAL_PORTS`.
+    pub usart: [Usart; SERIAL_PORTS.len()],
+    /// I2C1 to I2C3.
+    pub i2c: [I2c; I2C_INTERFACES.len()],
+    /// Flash.
+    pub flash: FlashArray,
+    /// ADC1 to ADC3.
+    pub adc: [Adc; CONVERTERS.len()],
+    adc_common: AdcCommon,
+    /// TIM2 to TIM5.
+    pub tim: [Timer; TIMERS.len()],
+    advanced: [Tim<Advanced>; ADVANCED_TIMERS.len()],
+    dma: [Dma; CONTROLLERS.len()],
+    rtc: Rtc,
+    dbg: Dbg,
+    /// The independent watchdog.
+    pub iwdg: Iwdg,
+    dwt: Dwt,
+    /// External interrupts.
+    pub exti: Exti,
+    syscfg: Syscfg,
+    bus: Bus,
+    wiring: Box<[Field]>,
+    slots: Slots,
+}
+
+/// Slots of the instances that are driven from outside, or keep something through a reset.
+#[derive(Clone, Copy, Debug)]
+struct Slots {
+    rcc: usize,
+    pwr: usize,
+    rtc: usize,
+    dbg: usize,
+    flash: usize,
+    exti: usize,
+    gpio: [usize; PORTS.len()],
+    tim: [usize; TIMERS.len()],
+    dma: [usize; CONTROLLERS.len()],
+    usart: [usize; SERIAL_PORTS.len()],
+    spi: [usize; SERIAL_INTERFACES.len()],
+}
+
+fn assemble() -> Result<Bus, Error> {
+    let f427 = stm32f427::builder().build()?;
+    let instances: Vec<Peripheral> = f427
+        .peripherals()
+        .filter(|instance| !ABSENT.contains(&instance.name))
+        .map(|&instance| match instance.name {
+            "EXTI" => Peripheral { interrupts: &exti::INTERRUPTS, ..instance },
+            _ => instance,
+        })
+        .collect();
+    let names: Vec<&'static str> = instances.iter().map(|instance| instance.name).collect();
+    let mut builder = Bus::builder(CPU, &MEMORY, instances)
+        // The F405's identity (RM0090, 38.6.1): 0x413; revision Z, 0x1001 (errata sheet ES0182).
+        .reset("DBG", "DBGMCU_IDCODE", 0x1001_6413)
+        .aborts_in("nothing", 0, 0xe000_0000);
+
+    // Where ST's machine-readable description differs from its manual.
+    for &name in &names {
+        let gate = |registers: fn((&'static str, &'static str)) -> &'static str, field: &str| {
+            ENABLES.into_iter().map(registers).find_map(|register| {
+                let found = find_field(&generated::rcc::REGISTERS, register, field)?;
+                Some(Gate::by("RCC", register, found.name))
+            })
+        };
+        let (enable, reset) = match name {
+            ADC_COMMON => ("ADC1EN".into(), "ADCRST".into()),
+            "ADC1" | "ADC2" | "ADC3" => (format!("{name}EN"), "ADCRST".into()),
+            // The description says UART2RST and UART3RST.
+            "USART2" | "USART3" => (format!("{name}EN"), format!("{}RST", &name[1..])),
+            _ => (format!("{name}EN"), format!("{name}RST")),
+        };
+        if let Some(gate) = gate(|pair| pair.0, &enable) {
+            builder = builder.gate(name, gate);
+        }
+        if let Some(gate) = gate(|pair| pair.1, &reset) {
+            builder = builder.reset_by(name, gate);
+        }
+        if let Some(clock) = f427.clock_of(name) {
+            builder = builder.clocked_by(name, clock);
+        }
+        match field_of(name) {
+            // 30.6.1: TXE and TC are set.
+            Field::Usart(_) => builder = builder.reset(name, "SR", 0xc0),
+            // 28.5.9.
+            Field::Spi(_) => builder = builder.reset(name, "I2SPR", 0x0002),
+            // 27.6.6: error flags are cleared by writing zero.
+            Field::I2c(_) => builder = builder.write_modify(name, "SR1", WriteModify::ZeroToClear),
+            // 18.4.5: flags are cleared by writing zero; 18.4.12: the period is all ones.
+            Field::Tim(n) => {
+                builder = builder.write_modify(name, "SR", WriteModify::ZeroToClear).reset(
+                    name,
+                    "ARR",
+                    TIMERS[n].counter.mask(),
+                );
+            }
+            Field::Advanced(_) => {
+                builder =
+                    builder.write_modify(name, "SR", WriteModify::ZeroToClear).reset(name, "ARR", 0xffff);
+            }
+            Field::Gpio(n) => {
+                // 8.4.1, 8.4.3, 8.4.4: ports A and B start with the debug port's pins.
+                let [mode, speed, pull] = match n {
+                    0 => [0xa800_0000, 0x0c00_0000, 0x6400_0000],
+                    1 => [0x0280, 0x00c0, 0x0100],
+                    _ => [0; 3],
+                };
+                builder = builder
+                    .reset(name, "MODER", mode)
+                    .reset(name, "OSPEEDR", speed)
+                    .reset(name, "PUPDR", pull);
+            }
+            // 12.3.6: a written one clears.
+            Field::Exti => builder = builder.write_modify(name, "PR", WriteModify::OneToClear),
+            // 3.9.5, 3.9.7, 3.9.9. The model is that of the F427, with its four bits of latency and RDERR.
+            Field::Flash => {
+                builder = builder
+                    .field(name, "ACR", "LATENCY", flash::LATENCY)
+                    .field(name, "CR", "LOCK", flash::LOCK)
+                    .field(name, "CR", "STRT", flash::STRT)
+                    .field(name, "OPTCR", "OPTLOCK", flash::OPTLOCK)
+                    .field(name, "OPTCR", "OPTSTRT", flash::OPTSTRT)
+                    .declare(name, "SR", &flash::RDERR)
+                    .write_modify(name, "SR", WriteModify::OneToClear);
+            }
+            _ => {}
+        }
+    }
+    // 5.4.1: the backup domain is protected against stray writes until DBP is set.
+    builder = builder.gate_writes("RCC", &["BDCR"], Gate::by("PWR", "CR", "DBP"));
+    builder = builder.gate_writes("RTC", &[], Gate::by("PWR", "CR", "DBP"));
+    // Who hears requests: see each model.
+    let sinks = ["RTC", "RCC", ADC_COMMON, CONVERTERS[0], "EXTI"]
+        .into_iter()
+        .chain(SERIAL_INTERFACES)
+        .chain(ADVANCED_TIMERS.iter().map(|timer| timer.instance))
+        .chain(CONTROLLERS.iter().map(|dma| dma.instance));
+    sinks.fold(builder, |builder, sink| builder.reads_requests(sink)).build()
+}
+
+impl Stm32f405 {
+    /// A part fresh out of reset, with nothing on its pins.
+    ///
+    /// # Errors
+    /// The description does not hold together.
+    pub fn new() -> Result<Self, Error> {
+        let bus = assemble()?;
+        let wiring = bus.slots().iter().map(|slot| field_of(slot.peripheral().name)).collect();
+        let slot = |name| bus.slot(name);
+        let mut slots = Slots {
+            rcc: slot("RCC")?,
+            pwr: slot("PWR")?,
+            rtc: slot("RTC")?,
+            dbg: slot("DBG")?,
+            flash: slot("FLASH")?,
+            exti: slot("EXTI")?,
+            gpio: [0; _],
+            tim: [0; _],
+            dma: [0; _],
+            usart: [0; _],
+            spi: [0; _],
+        };
+        for (n, interface) in SERIAL_INTERFACES.into_iter().enumerate() {
+            slots.spi[n] = slot(interface)?;
+        }
+        for (n, port) in SERIAL_PORTS.iter().enumerate() {
+            // The F405 has neither UART7 nor UART8: nothing is attached to them.
+            slots.usart[n] = bus.slot_of(port.instance).unwrap_or(usize::MAX);
+        }
+        for (n, port) in PORTS.into_iter().enumerate() {
+            slots.gpio[n] = slot(port)?;
+        }
+        for (n, timer) in TIMERS.iter().enumerate() {
+            slots.tim[n] = slot(timer.instance)?;
+        }
+        for (n, controller) in CONTROLLERS.iter().enumerate() {
+            slots.dma[n] = slot(controller.instance)?;
+        }
+        let adc_common = AdcCommon::with_clock(RESET_HZ);
+        let mut part = Self {
+            rcc: Rcc::new(),
+            pwr: Pwr::new(),
+            gpio: std::array::from_fn(|_| Gpio::default()),
+            spi: std::array::from_fn(|_| Spi::with_clock(RESET_HZ)),
+            usart: std::array::from_fn(|n| Usart::with_clock(SERIAL_PORTS[n].kind, RESET_HZ)),
+            i2c: std::array::from_fn(|_| I2c {
+                interface: I2cInterface::with_clock(RESET_HZ),
+                held_low: false,
+            }),
+            flash: FlashArray::new(Flash::with_clock(RESET_HZ)),
+            adc: std::array::from_fn(|_| Adc::with_clock(RESET_HZ / 2)),
+            adc_common,
+            tim: std::array::from_fn(|n| Timer::new(Tim::with_clock(RESET_HZ, TIMERS[n].counter), RESET_HZ)),
+            advanced: std::array::from_fn(|n| {
+                Tim::with_clock(RESET_HZ, ADVANCED_TIMERS[n].counter).breaks_on("RCC", rcc::CLOCK_FAILURE)
+            }),
+            dma: [
+                Dma::new(&DMA1_WIRING, &[], false),
+                Dma::new(CONTROLLERS[1].wiring, CONTROLLERS[1].last_data, true),
+            ],
+            rtc: Rtc,
+            dbg: Dbg,
+            iwdg: Iwdg::new(),
+            dwt: Dwt::with_clock(RESET_HZ),
+            exti: Exti::default(),
+            syscfg: Syscfg,
+            bus,
+            wiring,
+            slots,
+        };
+        part.check()?;
+        Ok(part)
+    }
+
+    /// The board's supply, mV.
+    pub fn set_supply(&mut self, millivolts: u32) {
+        let registers = self.bus.slot_mut(self.slots.pwr).registers_mut();
+        self.pwr.set_supply(millivolts, registers);
+        if let Some(millivolts) = NonZeroU32::new(millivolts) {
+            self.flash.interface.set_supply(millivolts);
+        }
+    }
+
+    /// Whether the voltage detector says that the supply is low.
+    pub fn supply_is_low(&self) -> bool {
+        let csr = self.bus.slots()[self.slots.pwr].registers().get(pwr::Register::Csr);
+        pwr::csr::PVDO.is_set(csr)
+    }
+
+    /// Drives an input of port `n`.
+    pub fn drive_port<T>(
+        &mut self,
+        at: VirtualNanos,
+        n: usize,
+        input: impl FnOnce(&mut Gpio, &mut RegisterFile, &mut DeviceContext<'_>) -> T,
+    ) -> T {
+        let (registers, mut context) = self.bus.drive(at, self.slots.gpio[n]);
+        input(&mut self.gpio[n], registers, &mut context)
+    }
+
+    /// Drives a line of the external interrupts that is no pin.
+    pub fn drive_exti(&mut self, at: VirtualNanos, line: usize, high: bool) {
+        let (registers, mut context) = self.bus.drive(at, self.slots.exti);
+        self.exti.drive_internal(line, high, registers, &mut context);
+    }
+
+    /// Cuts the part's supply, or gives it back.
+    pub fn power(&mut self, at: VirtualNanos, on: bool) {
+        let (_, mut context) = self.bus.drive(at, self.slots.pwr);
+        context.request_power(on);
+    }
+
+    /// Stops the crystal.
+    pub fn fail_crystal(&mut self, at: VirtualNanos) {
+        let (registers, mut context) = self.bus.drive(at, self.slots.rcc);
+        self.rcc.fail_hse(registers, &mut context);
+    }
+
+    /// Port `n` and its registers.
+    pub fn port(&self, n: usize) -> (&Gpio, &RegisterFile) {
+        (&self.gpio[n], self.bus.slots()[self.slots.gpio[n]].registers())
+    }
+
+    /// Tells the chips at the serial interfaces that the part has restarted: what they had scheduled went with the reset.
+    pub fn tell_chips(&mut self, at: VirtualNanos) {
+        for (n, spi) in self.spi.iter_mut().enumerate() {
+            let (_, mut context) = self.bus.drive(at, self.slots.spi[n]);
+            for chip in 0.. {
+                let Some(peer) = spi.peer_mut(chip) else { break };
+                peer.restarted(&mut Timeline::new(&mut context));
+            }
+        }
+    }
+
+    /// The bus's slot of port `n`.
+    pub fn port_slot(&self, n: usize) -> usize {
+        self.slots.gpio[n]
+    }
+
+    /// Timer `n` of TIM2 to TIM5 and its registers.
+    pub fn timer(&self, n: usize) -> (&Timer, &RegisterFile) {
+        (&self.tim[n], self.bus.slots()[self.slots.tim[n]].registers())
+    }
+
+    /// Streams that run with a memory address which DMA can't reach: controller (1 or 2) and stream.
+    pub fn unreachable_by_dma(&self) -> Vec<(usize, usize)> {
+        use generated::dma2::{Register, s0cr};
+        type Stream = (Register, Register);
+        const STREAMS: [Stream; 8] = [
+            (Register::S0cr, Register::S0m0ar),
+            (Register::S1cr, Register::S1m0ar),
+            (Register::S2cr, Register::S2m0ar),
+            (Register::S3cr, Register::S3m0ar),
+            (Register::S4cr, Register::S4m0ar),
+            (Register::S5cr, Register::S5m0ar),
+            (Register::S6cr, Register::S6m0ar),
+            (Register::S7cr, Register::S7m0ar),
+        ];
+        let mut found = Vec::new();
+        for (controller, &slot) in self.slots.dma.iter().enumerate() {
+            let registers = self.bus.slots()[slot].registers();
+            for (stream, (control, memory)) in STREAMS.into_iter().enumerate() {
+                let address = registers.get(memory);
+                let in_ccm = (CCM.0..CCM.0 + CCM.1).contains(&address);
+                if in_ccm && s0cr::EN.is_set(registers.get(control)) {
+                    found.push((controller + 1, stream));
+                }
+            }
+        }
+        found
+    }
+}
+
+/// The emulator takes no snapshots: nothing of a part is stored.
+impl Store for Stm32f405 {
+    fn store(&self, _: &mut snapshot::Writer) -> Result<(), snapshot::Error> {
+        Err(snapshot::Error::Failed)
+    }
+
+    fn load(&mut self, _: &mut snapshot::Reader) -> Result<(), snapshot::Error> {
+        Err(snapshot::Error::Failed)
+    }
+}
+
+impl Mcu for Stm32f405 {
+    fn bus(&self) -> &Bus {
+        &self.bus
+    }
+
+    fn bus_mut(&mut self) -> &mut Bus {
+        &mut self.bus
+    }
+
+    /// A system reset (RM0090, 6.1.1) leaves the backup domain, the debug settings, the option bytes and the reset
+    /// flags; a power-on reset leaves the backup domain (the cell feeds it) and the option bytes.
+    fn reset(&mut self, _: VirtualNanos, cause: ResetCause) {
+        let get = |slot: usize| self.bus.slots()[slot].registers();
+        let flags = get(self.slots.rcc).get(rcc_registers::Register::Csr);
+        let backup_clock = get(self.slots.rcc).get(rcc_registers::Register::Bdcr);
+        let regulator = get(self.slots.pwr).get(pwr::Register::Csr);
+        let calendar =
+            rtc_registers::Register::ALL.map(|register| (register, get(self.slots.rtc).get(register)));
+        let debug = [dbg::Register::DbgmcuCr, dbg::Register::DbgmcuApb1Fz, dbg::Register::DbgmcuApb2Fz]
+            .map(|register| (register, get(self.slots.dbg).get(register)));
+        let options = self.flash.interface.committed_options();
+        let (supply, crystals, lsi_hz) = (self.pwr.supply(), self.rcc.crystals(), self.rcc.lsi_hz());
+
+        self.reset_every_model();
+
+        // These models keep nothing of what the board set.
+        self.rcc = Rcc::new();
+        self.rcc.attach_crystals(crystals.0, crystals.1);
+        self.rcc.calibrate_lsi(lsi_hz);
+        self.flash = FlashArray::new(Flash::with_clock(RESET_HZ));
+        self.set_supply(supply);
+        let registers = self.bus.slot_mut(self.slots.rcc).registers_mut();
+        registers.set(rcc_registers::Register::Bdcr, backup_clock);
+        if cause == ResetCause::PowerOn {
+            // 7.3.21: power-on, brown-out and pin.
+            registers.set(rcc_registers::Register::Csr, 0x0e00_0000);
+        } else {
+            self.rcc.restarted(cause, flags, registers);
+            let registers = self.bus.slot_mut(self.slots.dbg).registers_mut();
+            debug.into_iter().for_each(|(register, value)| registers.set(register, value));
+        }
+        let registers = self.bus.slot_mut(self.slots.pwr).registers_mut();
+        self.pwr.keep_backup_regulator(regulator, registers);
+        let registers = self.bus.slot_mut(self.slots.rtc).registers_mut();
+        calendar.into_iter().for_each(|(register, value)| registers.set(register, value));
+        let registers = self.bus.slot_mut(self.slots.flash).registers_mut();
+        self.flash.interface.keep_options(options.0, options.1, registers);
+    }
+
+    /// Only the serial ports have something outside.
+    fn poll(&mut self, now: VirtualNanos) {
+        for n in 0..self.usart.len() {
+            if self.usart[n].attached() {
+                let (registers, mut context) = self.bus.drive(now, self.slots.usart[n]);
+                rigless::device::Device::poll(&mut self.usart[n], registers, &mut context);
+            }
+        }
+    }
+
+    fn split(&mut self, slot: usize) -> (&mut Bus, Option<&mut dyn ErasedDevice>) {
+        let field = self.wiring.get(slot).copied().unwrap_or(Field::None);
+        let model: Option<&mut dyn ErasedDevice> = match field {
+            Field::None => None,
+            Field::Rcc => Some(&mut self.rcc),
+            Field::Pwr => Some(&mut self.pwr),
+            Field::Gpio(n) => Some(&mut self.gpio[n]),
+            Field::Spi(n) => Some(&mut self.spi[n]),
+            Field::Usart(n) => Some(&mut self.usart[n]),
+            Field::I2c(n) => Some(&mut self.i2c[n]),
+            Field::Flash => Some(&mut self.flash),
+            Field::Adc(n) => Some(&mut self.adc[n]),
+            Field::AdcCommon => Some(&mut self.adc_common),
+            Field::Tim(n) => Some(&mut self.tim[n]),
+            Field::Advanced(n) => Some(&mut self.advanced[n]),
+            Field::Dma(n) => Some(&mut self.dma[n]),
+            Field::Rtc => Some(&mut self.rtc),
+            Field::Dbg => Some(&mut self.dbg),
+            Field::Iwdg => Some(&mut self.iwdg),
+            Field::Dwt => Some(&mut self.dwt),
+            Field::Exti => Some(&mut self.exti),
+            Field::Syscfg => Some(&mut self.syscfg),
+        };
+        (&mut self.bus, model)
+    }
+}

@@ -1,0 +1,175 @@
+//! A general-purpose timer that sleeps while nothing of it can be seen.
+//!
+//! The model is woken at every overflow and compare match. A DShot timer that is left running with compare values of
+//! zero overflows 300,000 to 600,000 times a second, and nothing comes of it: its outputs stay low, it raises no
+//! interrupt, and its request for DMA stands already. After some such overflows the model's clock is stopped; at the
+//! next access it is started again, with the count that the timer has reached meanwhile.
+
+use rigless::device::{Device, DeviceContext, Level, RegisterFile, RequestChange};
+use rigless::soc::RegisterSpec;
+use rigless::soc::stm32f427::generated::tim2::{Register, ccmr1_output, cr1, dier};
+use rigless::soc::stm32f427::peripherals::tim::{Channel, General, Tim};
+use rigless::time::{EventId, VirtualNanos};
+
+/// Wake-ups in a row at which nothing was to be seen, after which nothing will be: preloaded values have been taken.
+const QUIET_EVENTS: u32 = 8;
+
+/// The timer.
+#[derive(Debug)]
+pub struct Timer {
+    inner: Tim<General>,
+    clock_hz: u64,
+    quiet_events: u32,
+    /// Since when it sleeps, and at which count.
+    asleep: Option<(VirtualNanos, u64)>,
+    /// It was called since this was last asked: its outputs may have changed.
+    touched: bool,
+}
+
+impl Timer {
+    /// A timer that is looked at through `inner`, whose clock is at `clock_hz`.
+    pub fn new(inner: Tim<General>, clock_hz: u64) -> Self {
+        Self { inner, clock_hz, quiet_events: 0, asleep: None, touched: true }
+    }
+
+    /// The level that the timer puts on the pin of its channel `n` (1 to 4), if it drives it.
+    pub fn output(&self, n: u8, registers: &RegisterFile) -> Option<Level> {
+        self.inner.output(Channel::new(n)?, registers)
+    }
+
+    /// Whether the outputs may have changed since this was last asked.
+    pub fn take_touched(&mut self) -> bool {
+        std::mem::take(&mut self.touched)
+    }
+
+    fn is_quiet(&self, registers: &RegisterFile) -> bool {
+        let interrupts = dier::UIE.mask()
+            | dier::CC1IE.mask()
+            | dier::CC2IE.mask()
+            | dier::CC3IE.mask()
+            | dier::CC4IE.mask()
+            | dier::TIE.mask();
+        let compares = [Register::Ccr1, Register::Ccr2, Register::Ccr3, Register::Ccr4];
+        registers.get(Register::Dier) & interrupts == 0
+            // PWM mode 1 or nothing: with a compare value of zero the output is low all the time.
+            && [Register::Ccmr1Output, Register::Ccmr2Output].iter().all(|&register| {
+                let value = registers.get(register);
+                [ccmr1_output::OC1M, ccmr1_output::OC2M].iter().all(|mode| matches!(mode.get(value), 0 | 6))
+            })
+            && compares.into_iter().all(|compare| registers.get(compare) == 0)
+            && (1..=4).all(|n| self.output(n, registers) != Some(Level::High))
+    }
+}
+
+impl Timer {
+    fn sleep(&mut self, registers: &mut RegisterFile, context: &mut DeviceContext<'_>) {
+        let count = self.inner.read(Register::Cnt, registers, context).unwrap_or(0);
+        self.asleep = Some((context.now(), count));
+        self.inner.on_clock(0, registers, context);
+    }
+
+    fn wake(&mut self, registers: &mut RegisterFile, context: &mut DeviceContext<'_>) {
+        self.quiet_events = 0;
+        self.touched = true;
+        let Some((since, count)) = self.asleep.take() else { return };
+        self.inner.on_clock(self.clock_hz, registers, context);
+        let running = cr1::CEN.is_set(registers.get(Register::Cr1));
+        let cycles = u128::from(context.now().0 - since.0) * u128::from(self.clock_hz) / 1_000_000_000;
+        let counts = cycles / u128::from(registers.get(Register::Psc) + 1);
+        let period = u128::from(registers.get(Register::Arr) + 1);
+        if running {
+            let count = ((u128::from(count) + counts) % period) as u64;
+            registers.set(Register::Cnt, count);
+            self.inner.write(Register::Cnt, count, registers, context);
+        }
+    }
+}
+
+impl Device for Timer {
+    type Register = Register;
+
+    fn layout(&self) -> &'static [RegisterSpec] {
+        self.inner.layout()
+    }
+
+    fn read(
+        &mut self,
+        register: Register,
+        registers: &mut RegisterFile,
+        context: &mut DeviceContext<'_>,
+    ) -> Option<u64> {
+        self.wake(registers, context);
+        self.inner.read(register, registers, context)
+    }
+
+    fn write(
+        &mut self,
+        register: Register,
+        value: u64,
+        registers: &mut RegisterFile,
+        context: &mut DeviceContext<'_>,
+    ) {
+        if self.asleep.is_some() {
+            // The file holds what was written already; the wake is of what was before.
+            let written = registers.get(register);
+            self.wake(registers, context);
+            registers.set(register, written);
+        }
+        self.quiet_events = 0;
+        self.touched = true;
+        self.inner.write(register, value, registers, context);
+    }
+
+    fn on_event(&mut self, event: EventId, registers: &mut RegisterFile, context: &mut DeviceContext<'_>) {
+        if self.asleep.is_some() {
+            return;
+        }
+        self.inner.on_event(event, registers, context);
+        self.touched = true;
+        self.quiet_events = if self.is_quiet(registers) { self.quiet_events + 1 } else { 0 };
+        if self.quiet_events >= QUIET_EVENTS {
+            self.sleep(registers, context);
+        }
+    }
+
+    fn on_request(
+        &mut self,
+        change: RequestChange,
+        registers: &mut RegisterFile,
+        context: &mut DeviceContext<'_>,
+    ) {
+        self.inner.on_request(change, registers, context);
+    }
+
+    fn on_clock(&mut self, hz: u64, registers: &mut RegisterFile, context: &mut DeviceContext<'_>) {
+        self.wake(registers, context);
+        self.clock_hz = hz;
+        self.inner.on_clock(hz, registers, context);
+    }
+
+    fn on_access(
+        &mut self,
+        token: u64,
+        value: u64,
+        registers: &mut RegisterFile,
+        context: &mut DeviceContext<'_>,
+    ) {
+        self.inner.on_access(token, value, registers, context);
+    }
+
+    fn on_refused(&mut self, token: u64, registers: &mut RegisterFile, context: &mut DeviceContext<'_>) {
+        self.inner.on_refused(token, registers, context);
+    }
+
+    fn reset(&mut self) {
+        self.asleep = None;
+        self.quiet_events = 0;
+        self.touched = true;
+        self.inner.reset();
+    }
+
+    fn reset_line(&mut self, registers: &mut RegisterFile, context: &mut DeviceContext<'_>) {
+        self.wake(registers, context);
+        self.inner.reset_line(registers, context);
+    }
+}

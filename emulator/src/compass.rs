@@ -1,0 +1,56 @@
+//! The magnetometer on its connector: a QMC5883L, and what can go wrong with it.
+
+use rigless::chip::Timeline;
+use rigless::chip::i2c::Peer;
+use rigless::chip::qmc5883l::Qmc5883l;
+use rigless::snapshot::store;
+use rigless::time::EventId;
+
+/// The sensor.
+#[derive(Debug, serde::Serialize, serde::Deserialize)]
+pub struct Compass {
+    chip: Qmc5883l,
+    /// Off its connector: nothing is acknowledged.
+    pub absent: bool,
+}
+
+store!(Compass);
+
+impl Compass {
+    /// A sensor whose supply has just come up.
+    pub fn new() -> Self {
+        Self { chip: Qmc5883l::new(), absent: false }
+    }
+
+    /// What the sensor measures from now on, counts of ±8 G along its own axes.
+    pub fn measure(&mut self, counts: [i16; 3]) {
+        // 3,000 counts a gauss; a gauss is 100,000 nT.
+        let [x, y, z] = counts.map(|counts| {
+            let nanotesla = i64::from(counts) * 100_000;
+            ((nanotesla + 1_500 * nanotesla.signum()) / 3_000) as i32
+        });
+        self.chip.set_field(x, y, z);
+    }
+}
+
+impl Peer for Compass {
+    fn start(&mut self, address: u8, read: bool, context: &mut Timeline<'_, '_>) -> bool {
+        !self.absent && self.chip.start(address, read, context)
+    }
+
+    fn write(&mut self, byte: u8, context: &mut Timeline<'_, '_>) -> bool {
+        !self.absent && self.chip.write(byte, context)
+    }
+
+    fn read(&mut self, last: bool, context: &mut Timeline<'_, '_>) -> u8 {
+        if self.absent { 0xff } else { self.chip.read(last, context) }
+    }
+
+    fn stop(&mut self, context: &mut Timeline<'_, '_>) {
+        self.chip.stop(context);
+    }
+
+    fn on_event(&mut self, event: EventId, context: &mut Timeline<'_, '_>) {
+        self.chip.on_event(event, context);
+    }
+}

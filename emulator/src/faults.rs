@@ -1,0 +1,158 @@
+//! What goes wrong in a flight.
+
+use rigless::emulator::Host;
+use rigless::soc::Width;
+use rigless::time::VirtualNanos;
+
+use crate::board::{Machine, SUPPLY_MV};
+use crate::firmware::Firmware;
+use crate::radio::Protocol;
+
+/// A fault, or its end.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Fault {
+    /// The inertial sensor has no supply, or has it again.
+    ImuDead(bool),
+    /// It loses its settings.
+    ImuResetsItself,
+    /// One bit in every so many of its words is flipped.
+    ImuFlips(Option<u32>),
+    /// Its data-ready line stands at this level.
+    ReadyStuck(Option<bool>),
+    /// The magnetometer is off its connector.
+    CompassAbsent(bool),
+    /// Something holds the magnetometer's data line low.
+    CompassBusHeld(bool),
+    /// The receiver says nothing.
+    RadioSilent(bool),
+    /// Bytes at random come out of the receiver, for so many milliseconds.
+    RadioGarbage(u32),
+    /// The battery is at this voltage, whatever the scene says.
+    Battery(Option<f64>),
+    /// The microcontroller's supply, mV.
+    Supply(u32),
+    /// The microcontroller's supply is gone, or is back.
+    Power(bool),
+    /// The instruction at a function's beginning becomes an endless loop: the part of the function's name.
+    Hang(&'static str),
+    /// The instruction at a function's beginning becomes an undefined one.
+    Undefined(&'static str),
+    /// The function is as it was.
+    Mended(&'static str),
+    /// Bit `1` of every word in RAM that points to the symbol `0` is flipped.
+    FlippedPointer(&'static str, u8),
+}
+
+/// `b .`.
+const ENDLESS: u64 = 0xe7fe;
+/// `udf #0`.
+const UNDEFINED: u64 = 0xde00;
+
+const RAM: std::ops::Range<u64> = 0x2000_0000..0x2002_0000;
+
+/// Faults that last.
+pub struct Active {
+    /// The magnetometer is off.
+    pub compass_absent: bool,
+    /// The receiver is silent.
+    pub radio_silent: bool,
+    /// The battery's voltage.
+    pub battery_v: Option<f64>,
+    garbage_until_ns: u64,
+    random: u32,
+    /// Functions by a part of their name.
+    find: Box<dyn Fn(&str) -> Option<u64> + Send>,
+    spoiled: Vec<(&'static str, u64, u64)>,
+}
+
+impl Active {
+    /// Nothing is wrong yet.
+    pub fn new(firmware: &Firmware) -> Self {
+        let symbols = firmware.demangled();
+        let find = move |part: &str| {
+            let is = symbols.iter().find(|(name, _)| name == part);
+            is.or_else(|| symbols.iter().find(|(name, _)| name.contains(part))).map(|(_, address)| *address)
+        };
+        Self {
+            compass_absent: false,
+            radio_silent: false,
+            battery_v: None,
+            garbage_until_ns: 0,
+            random: 1,
+            find: Box::new(find),
+            spoiled: Vec::new(),
+        }
+    }
+
+    /// It happens.
+    ///
+    /// # Panics
+    /// A function or variable that the image does not have: a test that tests nothing.
+    pub fn apply(&mut self, fault: Fault, machine: &mut Machine, host: &mut dyn Host, now: VirtualNanos) {
+        match fault {
+            Fault::ImuDead(dead) => machine.imu().faults.dead = dead,
+            Fault::ImuResetsItself => machine.imu().reset_itself(),
+            Fault::ImuFlips(every) => machine.imu().faults.flip_every = every,
+            Fault::ReadyStuck(level) => machine.imu().faults.stuck_line = level,
+            Fault::CompassAbsent(absent) => {
+                self.compass_absent = absent;
+                machine.compass().absent = absent;
+            }
+            Fault::CompassBusHeld(held) => machine.hold_compass_bus(held),
+            Fault::RadioSilent(silent) => self.radio_silent = silent,
+            Fault::RadioGarbage(ms) => self.garbage_until_ns = now.0 + u64::from(ms) * 1_000_000,
+            Fault::Battery(volts) => {
+                self.battery_v = volts;
+                if let Some(volts) = volts {
+                    machine.set_battery(volts);
+                }
+            }
+            Fault::Supply(millivolts) => machine.set_supply(millivolts),
+            Fault::Power(on) => {
+                machine.set_supply(if on { SUPPLY_MV } else { 0 });
+                machine.part.power(now, on);
+            }
+            Fault::Hang(function) => self.spoil(function, ENDLESS, host),
+            Fault::Undefined(function) => self.spoil(function, UNDEFINED, host),
+            Fault::Mended(function) => {
+                for (_, address, was) in self.spoiled.extract_if(.., |(name, ..)| *name == function) {
+                    host.program(address, Width::W16, was).expect("it is in flash");
+                }
+            }
+            Fault::FlippedPointer(symbol, bit) => {
+                let target = (self.find)(symbol).unwrap_or_else(|| panic!("no symbol {symbol}"));
+                let mut flipped = 0;
+                for address in RAM.step_by(4) {
+                    if host.read(address, Width::W32).is_ok_and(|word| word == target) {
+                        host.write(address, Width::W32, target ^ 1 << bit).expect("it is in RAM");
+                        flipped += 1;
+                    }
+                }
+                assert!(flipped > 0, "no word in RAM points to {symbol}");
+            }
+        }
+    }
+
+    fn spoil(&mut self, function: &'static str, instruction: u64, host: &mut dyn Host) {
+        let address = (self.find)(function).unwrap_or_else(|| panic!("no function {function}"));
+        let was = host.read(address, Width::W16).expect("it is in flash");
+        host.program(address, Width::W16, instruction).expect("it is in flash");
+        self.spoiled.push((function, address, was));
+    }
+
+    /// What lasts, at each stop.
+    pub fn run(&mut self, machine: &mut Machine, now_ns: u64) {
+        if now_ns < self.garbage_until_ns && machine.radio().is_idle() {
+            // xorshift32 (Marsaglia 2003).
+            self.random ^= self.random << 13;
+            self.random ^= self.random >> 17;
+            self.random ^= self.random << 5;
+            let pause_ns = match machine.radio().protocol {
+                Protocol::Crsf => u64::from(self.random >> 24) * 10_000,
+                Protocol::Sbus => u64::from(self.random >> 24) * 40_000,
+            };
+            let bytes = self.random.to_le_bytes();
+            machine.radio().send_bytes(bytes, now_ns + pause_ns);
+        }
+    }
+}

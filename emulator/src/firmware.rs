@@ -1,0 +1,259 @@
+//! The image: an ELF file, checked before anything is emulated.
+
+use std::ffi::OsStr;
+use std::fs;
+use std::io::{IsTerminal as _, stderr};
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use object::{Architecture, Object as _, ObjectSegment as _, ObjectSymbol as _};
+use rigless::image::Image;
+use sha2::{Digest as _, Sha256};
+use sim_host::input_error::InputError;
+
+/// Where the configuration is stored: sector 1 (memory.x).
+pub const CONFIGURATION: u64 = 0x0800_4000;
+
+const FLASH: std::ops::Range<u64> = 0x0800_0000..0x0810_0000;
+const CONFIGURATION_SECTORS: std::ops::Range<u64> = CONFIGURATION..0x0800_c000;
+
+/// The compilation target.
+const TARGET: &str = "thumbv7em-none-eabihf";
+
+/// A firmware's image.
+#[derive(Debug)]
+pub struct Firmware {
+    path: PathBuf,
+    elf: Vec<u8>,
+    symbols: Vec<(String, u64)>,
+    vectors: Vec<u32>,
+    sha256: String,
+}
+
+impl Firmware {
+    /// Builds the image that `cargo flash-fw` programs, from the sources that this program was built from.
+    ///
+    /// # Errors
+    /// No sources, no cargo, or an image that does not build.
+    pub fn build() -> Result<Self, InputError> {
+        Self::build_with_esc(None)
+    }
+
+    /// Builds it for another ESC protocol: what `KESTREL_ESC` is at build time (docs/hardware.md).
+    ///
+    /// # Errors
+    /// As [`Self::build`].
+    pub fn build_with_esc(esc: Option<&str>) -> Result<Self, InputError> {
+        let refused =
+            |what: String| InputError::new(format!("{what}: name an image by --image ELF")).file("firmware");
+        let workspace = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
+        if !workspace.join("firmware/Cargo.toml").exists() {
+            return Err(refused(format!("the sources are not in {}", workspace.display())));
+        }
+        let targets =
+            std::env::var_os("CARGO_TARGET_DIR").map_or_else(|| workspace.join("target"), PathBuf::from);
+        let target = std::path::absolute(targets.join("flash-image").join(esc.unwrap_or("board")))
+            .map_err(|error| refused(format!("no target directory: {error}")))?;
+        let mut cargo = Command::new(std::env::var_os("CARGO").as_deref().unwrap_or(OsStr::new("cargo")));
+        cargo
+            .current_dir(&workspace)
+            // As the alias flash-fw of .cargo/config.toml, but for `run`.
+            .args(["build", "--release", "--package", "firmware", "--target", TARGET, "--target-dir"])
+            .arg(&target)
+            // These would replace the link arguments of .cargo/config.toml.
+            .env_remove("RUSTFLAGS")
+            .env_remove("CARGO_ENCODED_RUSTFLAGS");
+        match esc {
+            Some(protocol) => cargo.env("KESTREL_ESC", protocol),
+            None => cargo.env_remove("KESTREL_ESC"),
+        };
+        if !stderr().is_terminal() {
+            cargo.arg("--quiet");
+        }
+        let status = cargo.status().map_err(|error| refused(format!("cargo does not run ({error})")))?;
+        if !status.success() {
+            return Err(refused("the image does not build".into()));
+        }
+        Self::read(&target.join(TARGET).join("release/firmware"))
+    }
+
+    /// Reads an image.
+    ///
+    /// # Errors
+    /// It can't be read, or is no flight image for the STM32F405.
+    pub fn read(path: &Path) -> Result<Self, InputError> {
+        let elf = fs::read(path).map_err(|error| refused(path, format!("cannot be read: {error}")))?;
+        Self::parse(path, elf)
+    }
+
+    /// An image whose bytes are these.
+    ///
+    /// # Errors
+    /// It is no flight image for the STM32F405.
+    pub fn parse(path: &Path, elf: Vec<u8>) -> Result<Self, InputError> {
+        let refused = |why: String| refused(path, why);
+        let file =
+            object::File::parse(&*elf).map_err(|error| refused(format!("must be an ELF image: {error}")))?;
+        if file.architecture() != Architecture::Arm {
+            return Err(refused(format!(
+                "must be an image for Arm; it is one for {:?}",
+                file.architecture()
+            )));
+        }
+        let mut hash = Sha256::new();
+        let mut vector_table = None;
+        for segment in file.segments() {
+            let data = segment.data().map_err(|error| refused(format!("is cut short: {error}")))?;
+            if data.is_empty() {
+                continue;
+            }
+            let from = physical(&file, &segment);
+            let to = from + data.len() as u64;
+            if !FLASH.contains(&from) || to > FLASH.end {
+                return Err(refused(format!(
+                    "does not fit an STM32F405RG: {} bytes at {from:#010x}; its flash is {:#010x} to {:#010x}",
+                    data.len(),
+                    FLASH.start,
+                    FLASH.end - 1
+                )));
+            }
+            if from < CONFIGURATION_SECTORS.end && to > CONFIGURATION_SECTORS.start {
+                return Err(refused(format!("overwrites the configuration at {CONFIGURATION:#010x}")));
+            }
+            if from == FLASH.start {
+                vector_table = Some(data.to_vec());
+            }
+            hash.update((from as u32).to_le_bytes());
+            hash.update((data.len() as u32).to_le_bytes());
+            hash.update(data);
+        }
+        let table = vector_table.ok_or_else(|| refused("has no vector table at 0x08000000".into()))?;
+        let vectors = table.as_chunks().0.iter().map(|word| u32::from_le_bytes(*word)).collect();
+        let symbols = file
+            .symbols()
+            .filter_map(|symbol| Some((symbol.name().ok()?.to_owned(), symbol.address())))
+            .filter(|(name, _)| !name.is_empty() && !name.starts_with('$'))
+            .collect();
+        let sha256 = hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect();
+        let firmware = Self { path: path.to_owned(), elf, symbols, vectors, sha256 };
+        firmware.check_kind()?;
+        Ok(firmware)
+    }
+
+    /// Whether it is the flight image: one whose name in its flash is that of a board, without "bench".
+    fn check_kind(&self) -> Result<(), InputError> {
+        let Some(kind) = self.text_at("KESTREL_IMAGE") else {
+            return Err(refused(
+                &self.path,
+                "must be an image of Kestrel's firmware, with its symbols".into(),
+            ));
+        };
+        if kind != crate::board::SPEEDYBEE_F405_V4.name {
+            return Err(refused(
+                &self.path,
+                format!(
+                    "must be the flight image of {}; it is that of {kind}",
+                    crate::board::SPEEDYBEE_F405_V4.name
+                ),
+            ));
+        }
+        for symbol in ["FLIGHT_RECORD", "_SEGGER_RTT"] {
+            if self.symbol(symbol).is_none() {
+                return Err(refused(&self.path, format!("must have the symbol {symbol}")));
+            }
+        }
+        Ok(())
+    }
+
+    /// The text behind a symbol in flash, up to a zero.
+    fn text_at(&self, symbol: &str) -> Option<String> {
+        let address = self.symbol(symbol)?;
+        let file = object::File::parse(&*self.elf).ok()?;
+        let segment = file.segments().find(|segment| {
+            segment.data().is_ok_and(|data| {
+                (segment.address()..segment.address() + data.len() as u64).contains(&address)
+            })
+        })?;
+        let data = segment.data().ok()?.get((address - segment.address()) as usize..)?;
+        let text = data.split(|&byte| byte == 0).next()?;
+        String::from_utf8(text.get(..text.len().min(64))?.to_vec()).ok()
+    }
+
+    /// The file's name, for messages.
+    pub fn name(&self) -> String {
+        self.path.display().to_string()
+    }
+
+    /// The file.
+    pub fn elf(&self) -> &[u8] {
+        &self.elf
+    }
+
+    /// SHA-256 of what is programmed: each segment's address, length (little-endian) and bytes, in the file's order.
+    pub fn sha256(&self) -> &str {
+        &self.sha256
+    }
+
+    /// For the emulator.
+    ///
+    /// # Errors
+    /// It does not take the file.
+    pub fn image(&self) -> Result<Image, InputError> {
+        Image::new(&self.path, self.elf.clone(), None).map_err(|error| refused(&self.path, error.to_string()))
+    }
+
+    /// Address of a symbol, of a function without the Thumb bit.
+    pub fn symbol(&self, name: &str) -> Option<u64> {
+        self.symbols.iter().find(|(found, _)| found == name).map(|(_, address)| address & !1)
+    }
+
+    /// Every symbol by its demangled name.
+    pub fn demangled(&self) -> Vec<(String, u64)> {
+        let symbols = self.symbols.iter();
+        symbols.map(|(name, at)| (format!("{:#}", rustc_demangle::demangle(name)), at & !1)).collect()
+    }
+
+    /// Where the record of the last step is.
+    pub fn record_address(&self) -> u64 {
+        self.symbol("FLIGHT_RECORD").expect("checked when it was read")
+    }
+
+    /// Address of the handler of exception `number`; interrupts begin at 16.
+    pub fn handler(&self, number: u16) -> Option<u64> {
+        self.vectors.get(usize::from(number)).map(|&address| u64::from(address & !1))
+    }
+
+    /// Addresses at which the core may be sent to sleep: wherever the bytes of `wfi` stand.
+    pub fn sleeps(&self) -> Vec<u64> {
+        let Ok(file) = object::File::parse(&*self.elf) else { return Vec::new() };
+        let mut found = Vec::new();
+        for segment in file.segments() {
+            let Ok(data) = segment.data() else { continue };
+            let halves = data.as_chunks::<2>().0.iter().zip((segment.address()..).step_by(2));
+            found.extend(halves.filter(|(half, _)| **half == [0x30, 0xbf]).map(|(_, address)| address));
+        }
+        found
+    }
+}
+
+/// Where a segment is programmed: its physical address, which differs from where it runs for the first values of
+/// variables.
+fn physical<'a>(file: &object::File<'a>, segment: &object::Segment<'a, '_>) -> u64 {
+    use object::read::elf::ProgramHeader as _;
+    if let object::File::Elf32(elf) = file {
+        let endian = elf.endian();
+        let headers = elf.elf_program_headers().iter();
+        let mut found = headers.filter(|header| {
+            u64::from(header.p_vaddr(endian)) == segment.address()
+                && u64::from(header.p_filesz(endian)) == segment.file_range().1
+        });
+        if let Some(header) = found.next() {
+            return u64::from(header.p_paddr(endian));
+        }
+    }
+    segment.address()
+}
+
+fn refused(path: &Path, why: String) -> InputError {
+    InputError::new(why).field("--image").value(path.display())
+}

@@ -1,0 +1,262 @@
+//! `emulator`: the flash image flies a scene.
+//!
+//! Results go to standard output (with `--json` as one object, and nothing else), the firmware's log and notes to
+//! standard error. Exit codes: 0 done, 1 the flight failed, 2 bad input or usage.
+
+use std::fmt::Write as _;
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::time::Instant;
+
+use clap::Parser;
+use emulator::board::{BOARDS, INSTRUCTIONS_PER_SECOND, Wiring};
+use emulator::firmware::Firmware;
+use emulator::flight::{self, Flown, Settings};
+use emulator::radio::Protocol;
+use emulator::timing::HANDLERS;
+use serde_json::{Value, json};
+use sim_host::flight::{FlightLog, summary};
+use sim_host::input_error::InputError;
+use sim_host::scene::Scene;
+
+/// Exit code of a flight that failed.
+const FAILED: u8 = 1;
+/// Exit code of bad input; clap's own for usage.
+const BAD_INPUT: u8 = 2;
+
+#[derive(Parser)]
+#[command(
+    name = "emulator",
+    version,
+    about = "The flash image flies a scene, on a register-level model of the board",
+    arg_required_else_help = true
+)]
+struct Arguments {
+    /// A built-in scene or a scene file
+    scene: String,
+    /// Seed of every random stream, instead of the scene's
+    #[arg(long, value_name = "N")]
+    seed: Option<u64>,
+    /// Length of the flight in seconds, instead of the scene's
+    #[arg(long, value_name = "S")]
+    duration: Option<f64>,
+    /// The image; without it, the one that `cargo flash-fw` programs is built from the sources
+    #[arg(long, value_name = "ELF")]
+    image: Option<PathBuf>,
+    /// The board
+    #[arg(long, value_name = "NAME", default_value = "speedybee-f405-v4")]
+    board: String,
+    /// What the radio receiver speaks
+    #[arg(long, value_enum, value_name = "PROTOCOL", default_value_t = Protocol::Crsf)]
+    radio: Protocol,
+    /// Print the firmware's log on standard error, with its time
+    #[arg(long)]
+    firmware_log: bool,
+    /// Write the sensor log, truth and pulses of the flight
+    #[arg(long, value_name = "F.csv")]
+    log: Option<PathBuf>,
+    /// Print one JSON object on standard output and nothing else there
+    #[arg(long)]
+    json: bool,
+}
+
+fn main() -> ExitCode {
+    let arguments = Arguments::parse();
+    match run(&arguments) {
+        Ok((text, failed)) => {
+            use std::io::Write as _;
+            // A reader that has gone away (`| head`) is no error.
+            let _ = writeln!(std::io::stdout(), "{}", text.trim_end());
+            if failed { ExitCode::from(FAILED) } else { ExitCode::SUCCESS }
+        }
+        Err(error) => {
+            eprintln!("error: {error}");
+            ExitCode::from(BAD_INPUT)
+        }
+    }
+}
+
+fn run(arguments: &Arguments) -> Result<(String, bool), InputError> {
+    let wiring = board(&arguments.board)?;
+    let mut scene = Scene::load(&arguments.scene)?;
+    if let Some(seed) = arguments.seed {
+        scene.seed = seed;
+    }
+    if let Some(duration_s) = arguments.duration {
+        scene.set_duration(duration_s).map_err(|error| error.field("--duration"))?;
+    }
+    if scene.pilot.is_none() {
+        return Err(InputError::new("nobody flies in this scene").file(&scene.name).field("pilot"));
+    }
+    let log = arguments.log.as_ref().map(|path| FlightLog::create(path, &scene)).transpose()?;
+    let firmware = arguments.image.as_deref().map_or_else(Firmware::build, Firmware::read)?;
+    let settings = Settings {
+        firmware: &firmware,
+        wiring,
+        radio: arguments.radio,
+        config: Some(scene.config),
+        print_log: arguments.firmware_log,
+        after_crash_s: 0.0,
+        faults: Vec::new(),
+    };
+    let start = Instant::now();
+    let (flown, log) = flight::fly(&scene, scene.seed, settings, log)?;
+    let wall_s = start.elapsed().as_secs_f64();
+    // A flight that was broken off leaves no file that reads like a short one.
+    if let Some(log) = log.filter(|_| flown.broken_off.is_none()) {
+        log.finish()?;
+    }
+    let complaints = complaints(&flown);
+    let failed = !complaints.is_empty();
+    let text = if arguments.json {
+        to_json(&scene, &firmware, wiring, &flown, &complaints, wall_s).to_string()
+    } else {
+        describe(&scene, &firmware, wiring, &flown, &complaints, wall_s)
+    };
+    Ok((text, failed))
+}
+
+fn board(name: &str) -> Result<&'static Wiring, InputError> {
+    BOARDS.iter().find(|board| board.name == name).copied().ok_or_else(|| {
+        let names: Vec<&str> = BOARDS.iter().map(|board| board.name).collect();
+        InputError::new(format!("must be one of: {}", names.join(", "))).field("--board").value(name)
+    })
+}
+
+/// What is not as it must be.
+fn complaints(flown: &Flown) -> Vec<String> {
+    let mut complaints = Vec::new();
+    complaints.extend(flown.broken_off.clone());
+    if let Some((crash, at_s)) = flown.outcome.crash {
+        complaints.push(format!("crashed at {at_s:.3} s: {}", crash.text()));
+    }
+    if !flown.armed {
+        complaints.push("the pilot's arming did not arm it".into());
+    } else if !flown.took_off {
+        complaints.push("it did not take off".into());
+    }
+    if !flown.resets.is_empty() {
+        complaints.push(format!("{} resets", flown.resets.len()));
+    }
+    if flown.missed_deadlines > 0 {
+        complaints.push(format!("{} missed deadlines", flown.missed_deadlines));
+    }
+    if !flown.gaps.is_empty() {
+        complaints.push(format!("{} gaps", flown.gaps.len()));
+    }
+    complaints.extend(flown.unserved.iter().cloned());
+    complaints
+}
+
+fn verdict(flown: &Flown, complaints: &[String]) -> String {
+    let verdict = summary::verdict(&flown.outcome);
+    if complaints.is_empty() { verdict } else { format!("{verdict}, BUT {}", complaints.join("; ")) }
+}
+
+/// A `String` never refuses to be written to.
+const TAKES_ALL: &str = "a String takes everything";
+
+fn describe(
+    scene: &Scene,
+    firmware: &Firmware,
+    wiring: &Wiring,
+    flown: &Flown,
+    complaints: &[String],
+    wall_s: f64,
+) -> String {
+    let mut text = summary::describe(scene, &flown.outcome, &verdict(flown, complaints), wall_s);
+    let protocol = flown.escs.iter().find_map(|esc| esc.last()).map_or("none", |last| last.protocol.name());
+    let timing = &flown.timing;
+    write!(
+        text,
+        "\n\n  \
+         board                    {}\n  \
+         image                    {}\n  \
+         image's SHA-256          {}\n  \
+         motor pads               {protocol}, {} commands, {} garbled\n  \
+         resets                   {}\n  \
+         missed deadlines         {}\n  \
+         instructions             {}, {:.1} % of the time\n  \
+         data ready to handler    {:.2} to {:.2} us\n  \
+         data ready to motors     mean {:.1} us, most {:.1} us; instructions mean {:.0}, most {}\n  \
+         gaps                     {}",
+        wiring.title,
+        firmware.name(),
+        firmware.sha256(),
+        flown.escs.iter().map(|esc| esc.commands).sum::<u64>(),
+        flown.escs.iter().map(|esc| esc.garbled).sum::<u64>(),
+        flown.resets.len(),
+        flown.missed_deadlines,
+        flown.instructions,
+        flown.instructions as f64 / (flown.outcome.flown_s() * INSTRUCTIONS_PER_SECOND as f64) * 100.0,
+        timing.entry_ns.least as f64 * 1e-3,
+        timing.entry_ns.most as f64 * 1e-3,
+        timing.latency_ns.mean() * 1e-3,
+        timing.latency_ns.most as f64 * 1e-3,
+        timing.latency_instructions.mean(),
+        timing.latency_instructions.most,
+        flown.gaps.len(),
+    )
+    .expect(TAKES_ALL);
+    for gap in &flown.gaps {
+        write!(text, "\n    {gap}").expect(TAKES_ALL);
+    }
+    for ((name, _), (runs, entries)) in HANDLERS.iter().zip(timing.runs.iter().zip(timing.entries)) {
+        let share = runs.mean() * entries as f64 / flown.outcome.flown_s() / INSTRUCTIONS_PER_SECOND as f64;
+        write!(
+            text,
+            "\n  {name:<24} {entries} runs, instructions mean {:.0}, most {}, {:.2} % of the time",
+            runs.mean(),
+            runs.most,
+            share * 100.0
+        )
+        .expect(TAKES_ALL);
+    }
+    for (at_s, state) in &flown.states {
+        write!(text, "\n  {at_s:7.3} s  {}", state.name()).expect(TAKES_ALL);
+    }
+    for (at_s, cause) in &flown.resets {
+        write!(text, "\n  {at_s:7.3} s  reset: {cause}").expect(TAKES_ALL);
+    }
+    text
+}
+
+fn to_json(
+    scene: &Scene,
+    firmware: &Firmware,
+    wiring: &Wiring,
+    flown: &Flown,
+    complaints: &[String],
+    wall_s: f64,
+) -> Value {
+    let mut json = summary::to_json(scene, scene.seed, &flown.outcome, wall_s);
+    let timing = &flown.timing;
+    let further = json!({
+        "board": wiring.name,
+        "firmware": firmware.name(),
+        "image_sha256": firmware.sha256(),
+        "armed": flown.armed,
+        "took_off": flown.took_off,
+        "complaints": complaints,
+        "resets": flown.resets.len(),
+        "missed_deadlines": flown.missed_deadlines,
+        "instructions": flown.instructions,
+        "gaps": flown.gaps.len(),
+        "gap_list": flown.gaps,
+        "unserved_vectors": flown.unserved,
+        "states": flown.states.iter().map(|(at_s, state)| json!({ "at_s": at_s, "state": state.name() })).collect::<Vec<_>>(),
+        "pads_digest": format!("{:016x}", flown.pads_digest),
+        "latency_instructions_mean": timing.latency_instructions.mean(),
+        "latency_instructions_max": timing.latency_instructions.most,
+        "latency_us_max": timing.latency_ns.most as f64 * 1e-3,
+        "handlers": HANDLERS.iter().zip(timing.runs.iter().zip(timing.entries)).map(|((name, _), (runs, entries))| json!({
+            "name": name, "runs": entries, "instructions_mean": runs.mean(), "instructions_max": runs.most,
+        })).collect::<Vec<_>>(),
+        "entry_us_min": timing.entry_ns.least as f64 * 1e-3,
+        "entry_us_max": timing.entry_ns.most as f64 * 1e-3,
+    });
+    if let (Value::Object(json), Value::Object(further)) = (&mut json, further) {
+        json.extend(further);
+    }
+    json
+}

@@ -1,0 +1,120 @@
+//! What the board does besides flying: rates, counts, light, pads; and what it refuses.
+
+use std::path::Path;
+
+use emulator::firmware::Firmware;
+use emulator::pads::Line;
+use emulator::radio::Protocol;
+use flight_core::ArmState;
+
+use super::{assert_healthy, firmware, fly, hover, scene, settings, story};
+
+/// The figures of the log's health lines, `(name, value)`, one list a line.
+fn health(log: &[String]) -> Vec<Vec<(String, i64)>> {
+    let lines = log.iter().filter(|line| line.contains("imu lost"));
+    lines
+        .map(|line| {
+            let words: Vec<&str> = line.split([' ', ',']).filter(|word| !word.is_empty()).collect();
+            let pairs = words.windows(2).filter_map(|pair| Some((pair[0].to_owned(), pair[1].parse().ok()?)));
+            pairs.collect()
+        })
+        .collect()
+}
+
+fn value(line: &[(String, i64)], name: &str) -> i64 {
+    line.iter().find(|(found, _)| found == name).unwrap_or_else(|| panic!("no {name} in {line:?}")).1
+}
+
+#[test]
+fn every_sensor_comes_at_its_rate() {
+    let flown = fly(&hover(""), &[]);
+    assert_healthy(&flown);
+    let lines = health(&flown.log);
+    assert!(lines.len() >= 19, "{}", story(&flown));
+    for line in &lines[3..] {
+        for never in
+            ["lost", "polled", "late", "repeated", "invalid", "unreadable", "errors", "bad", "missed"]
+        {
+            assert_eq!(value(line, never), 0, "{never}: {line:?}");
+        }
+        assert!((99..=101).contains(&value(line, "mag")), "{line:?}");
+        assert!((49..=51).contains(&value(line, "rc")), "{line:?}");
+        // 11.1 V behind a divider of 11, in counts of 0.8 mV.
+        assert!((11_080..=11_120).contains(&value(line, "battery")), "{line:?}");
+    }
+}
+
+#[test]
+fn samples_are_stamped_and_answered_in_time() {
+    let flown = fly(&hover(""), &[]);
+    assert_healthy(&flown);
+    let timing = &flown.timing;
+    assert!(timing.latency_ns.count() > 19_000);
+    // The receiver's handler has the same priority, and takes some thirty instructions.
+    assert!(timing.entry_ns.most <= 2_000, "{:?}", timing.entry_ns);
+    assert!(timing.latency_instructions.most <= 3_400, "{:?}", timing.latency_instructions);
+    // Between two time stamps lies a millisecond, give or take that.
+    let armed: Vec<u64> = flown.records.iter().skip(1_000).map(|record| record.time_us).collect();
+    for pair in armed.windows(2) {
+        assert!((997..=1_003).contains(&(pair[1] - pair[0])), "{pair:?}");
+    }
+}
+
+#[test]
+fn the_attitude_is_right_the_way_round() {
+    // A wrong sign or a wrong axis of the mounting crashes; a magnetometer turned round shows in the heading.
+    let flown = fly(&scene("steps", Some(26.0)), &[]);
+    assert_healthy(&flown);
+    assert!(
+        flown.outcome.heading_rmse_deg < 1.0 && flown.outcome.inclination_rmse_deg < 1.0,
+        "{}",
+        story(&flown)
+    );
+}
+
+#[test]
+fn pads_are_never_left_floating_once_the_firmware_runs() {
+    let flown = fly(&hover(""), &[]);
+    let floats = flown.pads_floated_until_ns;
+    // Some hundred instructions after reset the pull-downs are on.
+    assert!(floats < 50_000, "a pad floats until {floats} ns");
+    assert!(flown.escs.iter().all(|esc| esc.line() != Line::Floating));
+}
+
+#[test]
+fn an_sbus_receiver_is_found_and_flown_with() {
+    let scene = hover("");
+    let settings = emulator::flight::Settings { radio: Protocol::Sbus, ..settings(firmware(), &scene, &[]) };
+    let flown = emulator::flight::fly(&scene, scene.seed, settings, None).unwrap().0;
+    assert_healthy(&flown);
+}
+
+#[test]
+fn a_board_without_a_configuration_refuses_to_arm() {
+    let scene = hover("");
+    let settings = emulator::flight::Settings { config: None, ..settings(firmware(), &scene, &[]) };
+    let flown = emulator::flight::fly(&scene, scene.seed, settings, None).unwrap().0;
+    assert!(!flown.armed, "{}", story(&flown));
+    assert!(flown.log.iter().any(|line| line.contains("refused: not calibrated")), "{}", story(&flown));
+    assert_eq!(flown.outcome.final_state, ArmState::Disarmed);
+}
+
+#[test]
+fn what_is_no_flight_image_is_refused() {
+    let elf = firmware().elf();
+    let refusal = |elf: Vec<u8>| Firmware::parse(Path::new("x.elf"), elf).unwrap_err().to_string();
+    assert!(refusal(b"no ELF".to_vec()).contains("must be an ELF image"));
+    // At 18: the machine.
+    let mut other = elf.to_vec();
+    other[18] = 62;
+    assert!(refusal(other).contains("Arm"));
+    for length in [10, 40, 60, 1_000, 40_000] {
+        refusal(elf[..length].to_vec());
+    }
+    // Its name, as the bench image has it.
+    let name = b"speedybee-f405-v4\0";
+    let at = elf.windows(name.len()).position(|window| window == name).unwrap();
+    let mut bench = elf.to_vec();
+    bench[at..at + 5].copy_from_slice(b"bench");
+    assert!(refusal(bench).contains("must be the flight image"));
+}

@@ -1,0 +1,81 @@
+//! The command `config`: a scene's configuration as the record that the flight board reads from its flash.
+
+use std::io::Write as _;
+use std::path::Path;
+
+use flight_core::Config;
+use flight_core::calibration::Calibration;
+use serde_json::json;
+use sim_host::input_error::InputError;
+use sim_host::output_file::OutputFile;
+use stored_config::{MAX_RECORD, VERSION, encode};
+
+use super::{Answer, ConfigArguments, load};
+
+/// Where the flight board looks for the record: `STORED_CONFIG` in `memory.x`.
+const ADDRESS: u32 = 0x0800_4000;
+const CHIP: &str = "STM32F405RGTx";
+
+pub fn run(arguments: &ConfigArguments) -> Result<Answer, InputError> {
+    let scene = load(&arguments.scene, None, None)?;
+    let mut buffer = [0; MAX_RECORD];
+    let record = encode(&scene.config, &mut buffer)
+        .map_err(|error| InputError::new(error.to_string()).field("SCENE").value(&arguments.scene))?;
+    write(&arguments.out, record)?;
+
+    let file = arguments.out.display();
+    let Config { params, calibration } = &scene.config;
+    let calibration = match calibration {
+        Some(calibration) if *calibration == Calibration::NONE => "none measured: the datasheets' figures",
+        Some(_) => "measured",
+        None => "missing: the board refuses to arm",
+    };
+    let stuck_check = match (params.stuck_check.gyro, params.stuck_check.accel) {
+        (true, true) => "gyroscope and accelerometer",
+        (true, false) => "gyroscope only",
+        (false, true) => "accelerometer only",
+        (false, false) => "off: the scene's sensors have no noise, and the board's have",
+    };
+    let command =
+        format!("probe-rs download --binary-format bin --base-address {ADDRESS:#010x} --chip {CHIP} {file}");
+    let text = format!(
+        "{}: configuration of the flight controller, {} bytes, version {VERSION}: {file}\n\n  \
+         inertial samples         {} Hz\n  \
+         calibration              {calibration}\n  \
+         stuck sensors looked for {stuck_check}\n\n\
+         The flight board reads it at start from {ADDRESS:#010x}:\n  {command}",
+        scene.name,
+        record.len(),
+        params.imu_rate_hz,
+    );
+    Ok(Answer {
+        json: json!({
+            "scene": scene.name,
+            "file": file.to_string(),
+            "bytes": record.len(),
+            "version": VERSION,
+            "address": ADDRESS,
+            "calibration": calibration,
+            "stuck_check": stuck_check,
+            "command": command,
+        }),
+        text,
+        failed: false,
+    })
+}
+
+fn write(path: &Path, record: &[u8]) -> Result<(), InputError> {
+    let mut file = OutputFile::create(path)?;
+    file.write_all(record).map_err(|error| file.error(&error))?;
+    file.finish()
+}
+
+#[cfg(test)]
+mod tests {
+    #[test]
+    fn the_address_is_that_of_the_memory_map() {
+        let map = include_str!("../../../memory.x");
+        let line = format!("STORED_CONFIG = {:#010x};", super::ADDRESS);
+        assert!(map.lines().any(|of_map| of_map == line), "memory.x has no line {line}");
+    }
+}
