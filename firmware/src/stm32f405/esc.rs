@@ -150,9 +150,10 @@ impl Lines {
         tim3().ccer().write(|w| w.cc3e().set_bit().cc4e().set_bit());
         match self.protocol {
             Protocol::Pwm { .. } => {
+                // They run before a pad is high: a pulse that begins while its timer stands is too long.
+                timers.into_iter().for_each(run);
                 self.load_servo([STOP_US; 4]);
                 timers.into_iter().for_each(take_preloaded);
-                timers.into_iter().for_each(run);
             }
             Protocol::OneShot125 => {}
             Protocol::DShot300 | Protocol::DShot600 => {
