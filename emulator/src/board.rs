@@ -165,6 +165,10 @@ pub struct Machine {
     supply_low: bool,
     data_held: bool,
     functions: [Option<Level>; PADS],
+    /// The ports do not know the functions yet.
+    stale: bool,
+    now: VirtualNanos,
+    pad_ports: Vec<usize>,
     lines: [Line; PADS],
     /// Changes at the pads since they were last taken: when (ns), pad, what.
     edges: Vec<(u64, usize, Line)>,
@@ -189,6 +193,7 @@ impl Machine {
             adc.set_reference(SUPPLY_MV);
             adc.set_backup_battery(SUPPLY_MV);
         }
+        let pad_ports = wiring.pads.iter().map(|pad| part.port_slot(pad.wire.port)).collect();
         Ok(Self {
             part,
             wiring,
@@ -196,6 +201,9 @@ impl Machine {
             supply_low: false,
             data_held: false,
             functions: [None; PADS],
+            stale: false,
+            now: VirtualNanos(0),
+            pad_ports,
             lines: [Line::Floating; PADS],
             edges: Vec::new(),
         })
@@ -265,11 +273,12 @@ impl Machine {
             let function = output.filter(|_| carried == Some(TIMER_FUNCTION));
             if function != self.functions[n] {
                 self.functions[n] = function;
-                self.part.drive_port(now, pad.wire.port, |gpio, registers, context| {
-                    gpio.drive_function(pin, function, registers, context);
-                });
+                self.stale = true;
             }
-            let line = self.line(pad, carried.is_some() && function.is_some());
+            let line = match function {
+                Some(level) => level.into(),
+                None => self.line(pad),
+            };
             if line != self.lines[n] {
                 self.lines[n] = line;
                 self.edges.push((now.0, n, line));
@@ -277,17 +286,26 @@ impl Machine {
         }
     }
 
-    fn line(&self, pad: &Pad, driven: bool) -> Line {
+    /// What a pad carries that its timer does not drive.
+    fn line(&self, pad: &Pad) -> Line {
         use rigless::soc::stm32f427::generated::gpioa::Register;
         let (gpio, registers) = self.part.port(pad.wire.port);
         let field = |register| registers.get(register) >> (2 * pad.wire.pin) & 3;
         let output = field(Register::Moder) == 1;
         let analog = field(Register::Moder) == 3;
         let pulled = field(Register::Pupdr) != 0 && !analog;
-        if driven || output || pulled {
-            gpio.level(pin_of(pad.wire), registers).into()
-        } else {
-            Line::Floating
+        if output || pulled { gpio.level(pin_of(pad.wire), registers).into() } else { Line::Floating }
+    }
+
+    /// Tells the ports what the timers drive: for whoever reads the pins. Not at every edge, which nobody reads.
+    fn refresh_ports(&mut self) {
+        if !std::mem::take(&mut self.stale) {
+            return;
+        }
+        for (pad, function) in self.wiring.pads.iter().zip(self.functions) {
+            self.part.drive_port(self.now, pad.wire.port, |gpio, registers, context| {
+                gpio.drive_function(pin_of(pad.wire), function, registers, context);
+            });
         }
     }
 
@@ -312,14 +330,17 @@ impl Mcu for Machine {
 
     fn reset(&mut self, at: VirtualNanos, cause: ResetCause) {
         self.part.reset(at, cause);
+        self.part.tell_chips(at);
         // Levels that are put on pins from outside stand; the ports have forgotten them.
         self.ready = None;
         self.data_held = false;
         self.functions = [None; PADS];
+        self.stale = false;
         self.follow_pads(at);
     }
 
     fn poll(&mut self, now: VirtualNanos) {
+        self.now = now;
         self.part.poll(now);
         let high = self.imu().int1();
         if self.ready != Some(high) {
@@ -349,6 +370,9 @@ impl Mcu for Machine {
     }
 
     fn split(&mut self, slot: usize) -> (&mut Bus, Option<&mut dyn ErasedDevice>) {
+        if self.stale && self.pad_ports.contains(&slot) {
+            self.refresh_ports();
+        }
         self.part.split(slot)
     }
 }

@@ -142,7 +142,7 @@ impl Active {
 
     /// What lasts, at each stop.
     pub fn run(&mut self, machine: &mut Machine, now_ns: u64) {
-        if now_ns < self.garbage_until_ns && machine.radio().next_byte_ns().is_none() {
+        if now_ns < self.garbage_until_ns && machine.radio().is_idle() {
             // xorshift32 (Marsaglia 2003).
             self.random ^= self.random << 13;
             self.random ^= self.random >> 17;

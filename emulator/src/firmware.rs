@@ -218,9 +218,21 @@ impl Firmware {
         self.symbol("FLIGHT_RECORD").expect("checked when it was read")
     }
 
-    /// Address of the handler of interrupt `number`.
+    /// Address of the handler of exception `number`; interrupts begin at 16.
     pub fn handler(&self, number: u16) -> Option<u64> {
-        self.vectors.get(16 + usize::from(number)).map(|&address| u64::from(address & !1))
+        self.vectors.get(usize::from(number)).map(|&address| u64::from(address & !1))
+    }
+
+    /// Addresses at which the core may be sent to sleep: wherever the bytes of `wfi` stand.
+    pub fn sleeps(&self) -> Vec<u64> {
+        let Ok(file) = object::File::parse(&*self.elf) else { return Vec::new() };
+        let mut found = Vec::new();
+        for segment in file.segments() {
+            let Ok(data) = segment.data() else { continue };
+            let halves = data.as_chunks::<2>().0.iter().zip((segment.address()..).step_by(2));
+            found.extend(halves.filter(|(half, _)| **half == [0x30, 0xbf]).map(|(_, address)| address));
+        }
+        found
     }
 }
 

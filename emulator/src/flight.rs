@@ -32,7 +32,7 @@ use crate::gaps;
 use crate::log::Log;
 use crate::pads::{Esc, Line, PADS};
 use crate::radio::Protocol;
-use crate::timing::Timing;
+use crate::timing::{HANDLERS, Timing};
 use crate::vectors::Vectors;
 
 /// A step of the world, ns.
@@ -53,6 +53,8 @@ pub struct Settings<'a> {
     pub config: Option<Config>,
     /// The firmware's log goes to standard error as it comes.
     pub print_log: bool,
+    /// After a crash of the vehicle the firmware runs on for this long, s: what becomes of it.
+    pub after_crash_s: f64,
     /// What goes wrong, and when (s).
     pub faults: Vec<(f64, Fault)>,
 }
@@ -112,8 +114,10 @@ pub fn fly(
     let mut session = Session::new(Box::new(board), 0, VirtualNanos(STEP_NS))
         .map_err(|error| InputError::new(format!("the board does not assemble: {error}")))?;
     let vectors = Vectors::new(settings.firmware);
-    for address in vectors.entries() {
-        session.watch(Watch::Instruction(address));
+    let handlers = HANDLERS.map(|(_, number)| settings.firmware.handler(number).unwrap_or(0));
+    let sleeps = settings.firmware.sleeps();
+    for address in handlers.iter().chain(&sleeps) {
+        session.watch(Watch::Instruction(*address));
     }
     // Word 0 of the record counts: odd while a step is being recorded, even when it is complete.
     session.watch(Watch::Writes { address: settings.firmware.record_address(), length: 4 });
@@ -127,6 +131,9 @@ pub fn fly(
         wiring: settings.wiring,
         channels: scene.config.params.channels,
         steps: steps_of(scene),
+        after_crash: (settings.after_crash_s * 1e9) as u64 / STEP_NS,
+        crash: None,
+        crashed_at: 0,
         flown: 0,
         input: None,
         stepped_ns: 0,
@@ -144,9 +151,11 @@ pub fn fly(
         faults,
         active: crate::faults::Active::new(settings.firmware),
         vectors,
+        handlers,
+        sleeps,
         timing: Timing::default(),
         in_ccm: BTreeMap::new(),
-        end: None,
+        done: false,
     };
     let start = Start::new(&images);
     let finished = emulator::run(session, &start, pilot)
@@ -156,14 +165,11 @@ pub fn fly(
     let resets = session.resets();
     let resets =
         resets.iter().map(|reset| (reset.at.0 as f64 * 1e-9, format!("{:?}", reset.cause))).collect();
-    let Pilot { world, observer, flown, end, .. } = pilot;
-    let (crash, broken_off) = match end {
-        Some(End::Crashed(crash, at_s)) => (Some((crash, at_s)), None),
-        Some(End::Done) => (None, None),
-        None => (None, Some("the emulator stopped by itself".into())),
-    };
+    let Pilot { world, observer, flown, crash, crashed_at, done, .. } = pilot;
+    let broken_off = (!done).then(|| "the emulator stopped by itself".to_owned());
+    let steps = if crash.is_some() { crashed_at } else { flown };
     let flight = Flown {
-        outcome: world.outcome(flown, crash),
+        outcome: world.outcome(steps, crash),
         armed: pilot.armed,
         took_off: pilot.took_off || scene.ball_joint,
         resets,
@@ -192,11 +198,6 @@ fn configuration(config: &Config) -> Result<Image, InputError> {
         .map_err(|error| InputError::new(error.to_string()))
 }
 
-enum End {
-    Done,
-    Crashed(Crash, f64),
-}
-
 /// What drives the run: the world on the one side, the board on the other.
 struct Pilot {
     world: World,
@@ -204,6 +205,9 @@ struct Pilot {
     wiring: &'static Wiring,
     channels: flight_core::rc::ChannelMap,
     steps: u64,
+    after_crash: u64,
+    crash: Option<(Crash, f64)>,
+    crashed_at: u64,
     flown: u64,
     input: Option<Input>,
     stepped_ns: u64,
@@ -221,9 +225,11 @@ struct Pilot {
     faults: Vec<(u64, Fault)>,
     active: crate::faults::Active,
     vectors: Vectors,
+    handlers: [u64; HANDLERS.len()],
+    sleeps: Vec<u64>,
     timing: Timing,
     in_ccm: BTreeMap<(usize, usize), u64>,
-    end: Option<End>,
+    done: bool,
 }
 
 impl Pilot {
@@ -301,18 +307,22 @@ impl Pilot {
             let crash = self.world.act(&input, &answer, &mut self.observer);
             self.flown += 1;
             self.took_off |= self.world.truth().position.z < -0.3;
-            if let Some((crash, at_s)) = crash {
-                self.end = Some(End::Crashed(crash, at_s));
-                return;
+            if let Some(crash) = crash
+                && self.crash.is_none()
+            {
+                self.crash = Some(crash);
+                self.crashed_at = self.flown;
+                self.steps = self.steps.min(self.flown + self.after_crash);
             }
-            if self.flown == self.steps {
-                self.end = Some(End::Done);
+            if self.flown >= self.steps {
+                self.done = true;
                 return;
             }
         }
         let input = self.world.sense();
         self.stepped_ns = now_ns;
         machine.check_radio_line();
+        machine.radio().forget_before(now_ns.saturating_sub(STEP_NS));
         if let Some(sample) = input.imu {
             let axes = &self.wiring.imu_axes;
             let imu = machine.imu();
@@ -367,8 +377,13 @@ impl Driver<FlightBoard> for Pilot {
                 }
             }
             Settled::Hit(hit) if hit.kind == HitKind::Write => self.take_record(host),
+            Settled::Hit(hit) if self.sleeps.contains(&hit.address) => {
+                self.timing.sleeps(hit.instruction_count);
+            }
             Settled::Hit(hit) => {
-                self.timing.entered(self.vectors.number_at(hit.address), hit.at.0);
+                if let Some(handler) = self.handlers.iter().position(|entry| *entry == hit.address) {
+                    self.timing.entered(handler, hit.at.0, hit.instruction_count);
+                }
                 self.vectors.entered(&session.board().machine, hit.address, hit.at.0);
             }
             _ => {}
@@ -393,7 +408,7 @@ impl Driver<FlightBoard> for Pilot {
         self.active.run(machine, now_ns);
 
         let sampled = machine.imu().take_sampled();
-        let running = machine.imu().next_sample_ns();
+        let running = machine.imu().next_sample_ns().filter(|&at| at > now_ns);
         // A stop comes up to an instruction after its instant, so that steps are a little more or less apart.
         let since_ns = now_ns - self.stepped_ns;
         let due = if running.is_some() { sampled && since_ns > STEP_NS / 2 } else { since_ns >= STEP_NS };
@@ -402,15 +417,16 @@ impl Driver<FlightBoard> for Pilot {
                 self.log.fetch(host);
             }
             self.step(machine, now_ns, sampled);
-            if self.end.is_some() {
+            if self.done {
                 self.log.fetch(host);
                 return None;
             }
         }
         let next_step = machine.imu().next_sample_ns().filter(|&at| at > now_ns);
         let mut next = next_step.unwrap_or(self.stepped_ns + STEP_NS).max(now_ns + 1);
-        if let Some(at) = machine.radio().next_byte_ns() {
-            next = next.min(at.max(now_ns + 1));
+        // One that begins now, or that nobody has listened to, is no reason to stop again.
+        if let Some(at) = machine.radio().next_byte_ns(now_ns) {
+            next = next.min(at);
         }
         if let Some((at, _)) = self.faults.last() {
             next = next.min((*at).max(now_ns + 1));

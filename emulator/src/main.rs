@@ -9,10 +9,11 @@ use std::process::ExitCode;
 use std::time::Instant;
 
 use clap::Parser;
-use emulator::board::{BOARDS, Wiring};
+use emulator::board::{BOARDS, INSTRUCTIONS_PER_SECOND, Wiring};
 use emulator::firmware::Firmware;
 use emulator::flight::{self, Flown, Settings};
 use emulator::radio::Protocol;
+use emulator::timing::HANDLERS;
 use serde_json::{Value, json};
 use sim_host::flight::{FlightLog, summary};
 use sim_host::input_error::InputError;
@@ -95,6 +96,7 @@ fn run(arguments: &Arguments) -> Result<(String, bool), InputError> {
         radio: arguments.radio,
         config: Some(scene.config),
         print_log: arguments.firmware_log,
+        after_crash_s: 0.0,
         faults: Vec::new(),
     };
     let start = Instant::now();
@@ -175,7 +177,6 @@ fn describe(
          resets                   {}\n  \
          missed deadlines         {}\n  \
          instructions             {}, {:.1} % of the time\n  \
-         handlers entered         EXTI4 {}, USART2 {}, TIM5 {}, DMA2_STREAM0 {}\n  \
          data ready to handler    {:.2} to {:.2} us\n  \
          data ready to motors     mean {:.1} us, most {:.1} us; instructions mean {:.0}, most {}\n  \
          gaps                     {}",
@@ -187,13 +188,7 @@ fn describe(
         flown.resets.len(),
         flown.missed_deadlines,
         flown.instructions,
-        flown.instructions as f64
-            / (flown.outcome.flown_s() * emulator::board::INSTRUCTIONS_PER_SECOND as f64)
-            * 100.0,
-        timing.entries[0],
-        timing.entries[1],
-        timing.entries[2],
-        timing.entries[3],
+        flown.instructions as f64 / (flown.outcome.flown_s() * INSTRUCTIONS_PER_SECOND as f64) * 100.0,
         timing.entry_ns.least as f64 * 1e-3,
         timing.entry_ns.most as f64 * 1e-3,
         timing.latency_ns.mean() * 1e-3,
@@ -205,6 +200,17 @@ fn describe(
     .expect(TAKES_ALL);
     for gap in &flown.gaps {
         write!(text, "\n    {gap}").expect(TAKES_ALL);
+    }
+    for ((name, _), (runs, entries)) in HANDLERS.iter().zip(timing.runs.iter().zip(timing.entries)) {
+        let share = runs.mean() * entries as f64 / flown.outcome.flown_s() / INSTRUCTIONS_PER_SECOND as f64;
+        write!(
+            text,
+            "\n  {name:<24} {entries} runs, instructions mean {:.0}, most {}, {:.2} % of the time",
+            runs.mean(),
+            runs.most,
+            share * 100.0
+        )
+        .expect(TAKES_ALL);
     }
     for (at_s, state) in &flown.states {
         write!(text, "\n  {at_s:7.3} s  {}", state.name()).expect(TAKES_ALL);
@@ -243,6 +249,9 @@ fn to_json(
         "latency_instructions_mean": timing.latency_instructions.mean(),
         "latency_instructions_max": timing.latency_instructions.most,
         "latency_us_max": timing.latency_ns.most as f64 * 1e-3,
+        "handlers": HANDLERS.iter().zip(timing.runs.iter().zip(timing.entries)).map(|((name, _), (runs, entries))| json!({
+            "name": name, "runs": entries, "instructions_mean": runs.mean(), "instructions_max": runs.most,
+        })).collect::<Vec<_>>(),
         "entry_us_min": timing.entry_ns.least as f64 * 1e-3,
         "entry_us_max": timing.entry_ns.most as f64 * 1e-3,
     });

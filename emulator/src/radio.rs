@@ -143,9 +143,19 @@ impl Radio {
         self.bytes.extend(bytes.into_iter().zip(0..).map(|(byte, n)| (start + n * period, byte)));
     }
 
-    /// When the next byte begins, ns.
-    pub fn next_byte_ns(&self) -> Option<u64> {
-        self.bytes.front().map(|(at, _)| *at)
+    /// When the first byte after `now_ns` begins, ns.
+    pub fn next_byte_ns(&self, now_ns: u64) -> Option<u64> {
+        self.bytes.iter().map(|(at, _)| *at).find(|at| *at > now_ns)
+    }
+
+    /// Whether all bytes are sent.
+    pub fn is_idle(&self) -> bool {
+        self.bytes.is_empty()
+    }
+
+    /// Forgets what began before `now_ns`, and nobody has listened to.
+    pub fn forget_before(&mut self, now_ns: u64) {
+        self.bytes.retain(|(at, _)| *at >= now_ns);
     }
 }
 

@@ -30,6 +30,17 @@ impl Spread {
     }
 }
 
+/// Handlers whose runs are counted: what they are called, and their exception numbers.
+pub const HANDLERS: [(&str, u16); 7] = [
+    ("EXTI4", 16 + 10),
+    ("USART2", 16 + 38),
+    ("TIM5", 16 + 50),
+    ("DMA2_STREAM0", 16 + 56),
+    ("SysTick", 15),
+    ("DCMI", 16 + 78),
+    ("CRYP", 16 + 79),
+];
+
 /// What a flight shows of the firmware's timing.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Timing {
@@ -41,8 +52,13 @@ pub struct Timing {
     pub latency_ns: Spread,
     /// Instructions in that time, of all priorities.
     pub latency_instructions: Spread,
-    /// Entries of each vector that is watched: EXTI4, USART2, TIM5, DMA2_STREAM0.
-    pub entries: [u64; 4],
+    /// How often each of [`HANDLERS`] was entered.
+    pub entries: [u64; HANDLERS.len()],
+    /// Instructions of a run of each, those of the way to sleep included: of the runs that the core began asleep and
+    /// ended asleep, with no other handler between.
+    pub runs: [Spread; HANDLERS.len()],
+    /// The first handler since the core slept, the count at its entry, and whether another one came.
+    busy: Option<(usize, u64, bool)>,
     ready: Option<(u64, u64)>,
     entered: bool,
     last_motor: Option<(u64, u64)>,
@@ -60,20 +76,28 @@ impl Timing {
         self.last_motor = None;
     }
 
-    /// A handler is entered.
-    pub fn entered(&mut self, number: Option<u16>, now_ns: u64) {
-        let Some(at) = number.and_then(|number| [10, 38, 50, 56].iter().position(|&known| known == number))
-        else {
-            return;
+    /// A handler of [`HANDLERS`] is entered.
+    pub fn entered(&mut self, handler: usize, now_ns: u64, instructions: u64) {
+        self.entries[handler] += 1;
+        self.busy = match self.busy {
+            None => Some((handler, instructions, false)),
+            Some((first, since, _)) => Some((first, since, true)),
         };
-        self.entries[at] += 1;
-        if at == 0
+        if handler == 0
             && !self.entered
             && let Some((ready_ns, _)) = self.ready
         {
             self.entered = true;
-            self.entry_ns.add(now_ns - ready_ns);
+            self.entry_ns.add(now_ns.saturating_sub(ready_ns));
         }
+    }
+
+    /// The core is about to sleep.
+    pub fn sleeps(&mut self, instructions: u64) {
+        if let Some((handler, since, false)) = self.busy {
+            self.runs[handler].add(instructions - since);
+        }
+        self.busy = None;
     }
 
     /// The firmware has accessed a timer of the motors.

@@ -13,7 +13,6 @@ use crate::firmware::Firmware;
 /// A vector whose source can be looked at.
 struct Vector {
     name: &'static str,
-    number: u16,
     entry: u64,
     /// First address and length of the registers by which the source is served.
     registers: (u64, u64),
@@ -59,29 +58,10 @@ impl Vectors {
     /// The vectors of an image.
     pub fn new(firmware: &Firmware) -> Self {
         let vector = |(number, name, registers, asserted): Row| {
-            let entry = firmware.handler(number)?;
-            Some(Vector {
-                name,
-                number,
-                entry,
-                registers,
-                asserted,
-                unserved: false,
-                entered_again: 0,
-                first_ns: 0,
-            })
+            let entry = firmware.handler(16 + number)?;
+            Some(Vector { name, entry, registers, asserted, unserved: false, entered_again: 0, first_ns: 0 })
         };
         Self(SOURCES.into_iter().filter_map(vector).collect())
-    }
-
-    /// Where the handlers begin.
-    pub fn entries(&self) -> Vec<u64> {
-        self.0.iter().map(|vector| vector.entry).collect()
-    }
-
-    /// The interrupt whose handler begins at `address`.
-    pub fn number_at(&self, address: u64) -> Option<u16> {
-        self.0.iter().find(|vector| vector.entry == address).map(|vector| vector.number)
     }
 
     /// A handler is entered.

@@ -8,7 +8,7 @@ use std::convert::Infallible;
 use std::iter;
 use std::rc::Rc;
 
-use drivers::icm42688p::{self, FRAME_LEN, Icm42688p};
+use drivers::icm42688p::{self, Icm42688p};
 use drivers::qmc5883l::{self, Qmc5883l, SampleError};
 use embedded_hal::delay::DelayNs as _;
 use embedded_hal::i2c::{self, I2c};
@@ -73,7 +73,7 @@ impl I2c for Bus<'_> {
 fuzz_target!(|data: &[u8]| {
     let Some((kind, bytes)) = data.split_first() else { return };
     match kind % 5 {
-        0 => bytes.chunks_exact(FRAME_LEN).for_each(|frame| imu_frame(frame.try_into().unwrap())),
+        0 => bytes.as_chunks().0.iter().for_each(imu_frame),
         1 => {
             let clock = Clock::default();
             let edges = || (clock.now_ns() / 1_000_000) as u32;

@@ -17,6 +17,7 @@
 use std::num::{NonZeroU32, NonZeroU64};
 use std::sync::LazyLock;
 
+use rigless::chip::Timeline;
 use rigless::cpu::armv7m::{self, Dwt};
 use rigless::device::{DeviceContext, ErasedDevice, RegisterFile, ResetCause};
 use rigless::mcu::{Mcu, Operate};
@@ -209,6 +210,7 @@ struct Slots {
     tim: [usize; TIMERS.len()],
     dma: [usize; CONTROLLERS.len()],
     usart: [usize; SERIAL_PORTS.len()],
+    spi: [usize; SERIAL_INTERFACES.len()],
 }
 
 fn assemble() -> Result<Bus, Error> {
@@ -330,7 +332,11 @@ impl Stm32f405 {
             tim: [0; _],
             dma: [0; _],
             usart: [0; _],
+            spi: [0; _],
         };
+        for (n, interface) in SERIAL_INTERFACES.into_iter().enumerate() {
+            slots.spi[n] = slot(interface)?;
+        }
         for (n, port) in SERIAL_PORTS.iter().enumerate() {
             // The F405 has neither UART7 nor UART8: nothing is attached to them.
             slots.usart[n] = bus.slot_of(port.instance).unwrap_or(usize::MAX);
@@ -358,7 +364,7 @@ impl Stm32f405 {
             flash: FlashArray::new(Flash::with_clock(RESET_HZ)),
             adc: std::array::from_fn(|_| Adc::with_clock(RESET_HZ / 2)),
             adc_common,
-            tim: std::array::from_fn(|n| Timer::new(Tim::with_clock(RESET_HZ, TIMERS[n].counter))),
+            tim: std::array::from_fn(|n| Timer::new(Tim::with_clock(RESET_HZ, TIMERS[n].counter), RESET_HZ)),
             advanced: std::array::from_fn(|n| {
                 Tim::with_clock(RESET_HZ, ADVANCED_TIMERS[n].counter).breaks_on("RCC", rcc::CLOCK_FAILURE)
             }),
@@ -427,6 +433,22 @@ impl Stm32f405 {
     /// Port `n` and its registers.
     pub fn port(&self, n: usize) -> (&Gpio, &RegisterFile) {
         (&self.gpio[n], self.bus.slots()[self.slots.gpio[n]].registers())
+    }
+
+    /// Tells the chips at the serial interfaces that the part has restarted: what they had scheduled went with the reset.
+    pub fn tell_chips(&mut self, at: VirtualNanos) {
+        for (n, spi) in self.spi.iter_mut().enumerate() {
+            let (_, mut context) = self.bus.drive(at, self.slots.spi[n]);
+            for chip in 0.. {
+                let Some(peer) = spi.peer_mut(chip) else { break };
+                peer.restarted(&mut Timeline::new(&mut context));
+            }
+        }
+    }
+
+    /// The bus's slot of port `n`.
+    pub fn port_slot(&self, n: usize) -> usize {
+        self.slots.gpio[n]
     }
 
     /// Timer `n` of TIM2 to TIM5 and its registers.

@@ -1,15 +1,15 @@
-//! A general-purpose timer that is left alone while nothing of it can be seen.
+//! A general-purpose timer that sleeps while nothing of it can be seen.
 //!
-//! The model asks to be woken at every overflow and compare match. A DShot timer that is left running with compare
-//! values of zero overflows 300,000 to 600,000 times a second, and nothing comes of it: its outputs stay low, it
-//! raises no interrupt, and its request for DMA stands already. Such wake-ups are not passed on; the model catches up
-//! at its next access, with the same arithmetic.
+//! The model is woken at every overflow and compare match. A DShot timer that is left running with compare values of
+//! zero overflows 300,000 to 600,000 times a second, and nothing comes of it: its outputs stay low, it raises no
+//! interrupt, and its request for DMA stands already. After some such overflows the model's clock is stopped; at the
+//! next access it is started again, with the count that the timer has reached meanwhile.
 
-use rigless::device::{Device, DeviceContext, Level, RegisterFile};
+use rigless::device::{Device, DeviceContext, Level, RegisterFile, RequestChange};
 use rigless::soc::RegisterSpec;
-use rigless::soc::stm32f427::generated::tim2::{Register, ccmr1_output, dier};
+use rigless::soc::stm32f427::generated::tim2::{Register, ccmr1_output, cr1, dier};
 use rigless::soc::stm32f427::peripherals::tim::{Channel, General, Tim};
-use rigless::time::EventId;
+use rigless::time::{EventId, VirtualNanos};
 
 /// Wake-ups in a row at which nothing was to be seen, after which nothing will be: preloaded values have been taken.
 const QUIET_EVENTS: u32 = 8;
@@ -18,15 +18,18 @@ const QUIET_EVENTS: u32 = 8;
 #[derive(Debug)]
 pub struct Timer {
     inner: Tim<General>,
+    clock_hz: u64,
     quiet_events: u32,
+    /// Since when it sleeps, and at which count.
+    asleep: Option<(VirtualNanos, u64)>,
     /// It was called since this was last asked: its outputs may have changed.
     touched: bool,
 }
 
 impl Timer {
-    /// A timer that is looked at through `inner`.
-    pub fn new(inner: Tim<General>) -> Self {
-        Self { inner, quiet_events: 0, touched: true }
+    /// A timer that is looked at through `inner`, whose clock is at `clock_hz`.
+    pub fn new(inner: Tim<General>, clock_hz: u64) -> Self {
+        Self { inner, clock_hz, quiet_events: 0, asleep: None, touched: true }
     }
 
     /// The level that the timer puts on the pin of its channel `n` (1 to 4), if it drives it.
@@ -58,6 +61,30 @@ impl Timer {
     }
 }
 
+impl Timer {
+    fn sleep(&mut self, registers: &mut RegisterFile, context: &mut DeviceContext<'_>) {
+        let count = self.inner.read(Register::Cnt, registers, context).unwrap_or(0);
+        self.asleep = Some((context.now(), count));
+        self.inner.on_clock(0, registers, context);
+    }
+
+    fn wake(&mut self, registers: &mut RegisterFile, context: &mut DeviceContext<'_>) {
+        self.quiet_events = 0;
+        self.touched = true;
+        let Some((since, count)) = self.asleep.take() else { return };
+        self.inner.on_clock(self.clock_hz, registers, context);
+        let running = cr1::CEN.is_set(registers.get(Register::Cr1));
+        let cycles = u128::from(context.now().0 - since.0) * u128::from(self.clock_hz) / 1_000_000_000;
+        let counts = cycles / u128::from(registers.get(Register::Psc) + 1);
+        let period = u128::from(registers.get(Register::Arr) + 1);
+        if running {
+            let count = ((u128::from(count) + counts) % period) as u64;
+            registers.set(Register::Cnt, count);
+            self.inner.write(Register::Cnt, count, registers, context);
+        }
+    }
+}
+
 impl Device for Timer {
     type Register = Register;
 
@@ -71,8 +98,7 @@ impl Device for Timer {
         registers: &mut RegisterFile,
         context: &mut DeviceContext<'_>,
     ) -> Option<u64> {
-        self.quiet_events = 0;
-        self.touched = true;
+        self.wake(registers, context);
         self.inner.read(register, registers, context)
     }
 
@@ -83,22 +109,32 @@ impl Device for Timer {
         registers: &mut RegisterFile,
         context: &mut DeviceContext<'_>,
     ) {
+        if self.asleep.is_some() {
+            // The file holds what was written already; the wake is of what was before.
+            let written = registers.get(register);
+            self.wake(registers, context);
+            registers.set(register, written);
+        }
         self.quiet_events = 0;
         self.touched = true;
         self.inner.write(register, value, registers, context);
     }
 
     fn on_event(&mut self, event: EventId, registers: &mut RegisterFile, context: &mut DeviceContext<'_>) {
+        if self.asleep.is_some() {
+            return;
+        }
+        self.inner.on_event(event, registers, context);
+        self.touched = true;
         self.quiet_events = if self.is_quiet(registers) { self.quiet_events + 1 } else { 0 };
-        if self.quiet_events < QUIET_EVENTS {
-            self.touched = true;
-            self.inner.on_event(event, registers, context);
+        if self.quiet_events >= QUIET_EVENTS {
+            self.sleep(registers, context);
         }
     }
 
     fn on_request(
         &mut self,
-        change: rigless::device::RequestChange,
+        change: RequestChange,
         registers: &mut RegisterFile,
         context: &mut DeviceContext<'_>,
     ) {
@@ -106,6 +142,8 @@ impl Device for Timer {
     }
 
     fn on_clock(&mut self, hz: u64, registers: &mut RegisterFile, context: &mut DeviceContext<'_>) {
+        self.wake(registers, context);
+        self.clock_hz = hz;
         self.inner.on_clock(hz, registers, context);
     }
 
@@ -124,14 +162,14 @@ impl Device for Timer {
     }
 
     fn reset(&mut self) {
+        self.asleep = None;
         self.quiet_events = 0;
         self.touched = true;
         self.inner.reset();
     }
 
     fn reset_line(&mut self, registers: &mut RegisterFile, context: &mut DeviceContext<'_>) {
-        self.quiet_events = 0;
-        self.touched = true;
+        self.wake(registers, context);
         self.inner.reset_line(registers, context);
     }
 }

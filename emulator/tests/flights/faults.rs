@@ -175,20 +175,21 @@ fn watchdog_resets(flown: &Flown, pads_limit_s: f64) {
     pads_stop(flown, pads_limit_s);
 }
 
-/// A task's first instruction is an endless loop, until after the reset.
-fn hangs(task: &'static str) -> Flown {
-    fly_twice(&hover(""), &[(AT_S, Fault::Hang(task)), (AT_S + 2.5, Fault::Mended(task))])
+/// A task's first instruction is an endless loop, until `mended_s` later.
+fn hangs(task: &'static str, mended_s: f64) -> Flown {
+    fly_twice(&hover(""), &[(AT_S, Fault::Hang(task)), (AT_S + mended_s, Fault::Mended(task))])
 }
 
 #[test]
 fn a_flight_task_that_hangs_stops_the_motors_and_is_reset() {
     // Twenty wake-ups without an end of its run: 20 ms, and a period of PWM.
-    watchdog_resets(&hangs("DMA2_STREAM0"), 0.025);
+    // From then on the stop is all that runs, so that the task may be mended before the reset.
+    watchdog_resets(&hangs("DMA2_STREAM0", 0.5), 0.025);
 }
 
 #[test]
 fn a_tick_that_hangs_is_reset() {
-    let flown = hangs("SysTick");
+    let flown = hangs("SysTick", 2.5);
     watchdog_resets(&flown, 2.2);
 }
 
@@ -202,7 +203,7 @@ fn a_compass_that_hangs_ends_no_flight() {
 #[test]
 fn an_undefined_instruction_stops_the_motors() {
     for task in ["DMA2_STREAM0", "SysTick", "EXTI4"] {
-        let faults = [(AT_S, Fault::Undefined(task)), (AT_S + 2.5, Fault::Mended(task))];
+        let faults = [(AT_S, Fault::Undefined(task)), (AT_S + 0.5, Fault::Mended(task))];
         let flown = fly_twice(&hover(""), &faults);
         // At once; a PWM period of 2.5 ms, or a DShot frame.
         watchdog_resets(&flown, 0.006);

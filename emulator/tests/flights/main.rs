@@ -52,6 +52,7 @@ fn settings<'a>(firmware: &'a Firmware, scene: &Scene, faults: &[(f64, Fault)]) 
         radio: Protocol::Crsf,
         config: Some(scene.config),
         print_log: false,
+        after_crash_s: 3.0,
         faults: faults.to_vec(),
     }
 }

@@ -34,6 +34,7 @@
 //! | EXTI4 | the line's bit in EXTI_PR, written first |
 //! | TIM5 | CC1IF, read and cleared first; it is the only one of TIM5's interrupts that is on |
 //! | USART2 (`receive`) | `Ear::hear` reads SR and then DR, which clears RXNE and ORE, the two that raise it |
+//! | PVD, NMI | nothing: they stop the motors, and do not come back |
 //! | SysTick (`tick`) | the processor, when it enters the handler |
 //! | CRYP, DCMI, HASH_RNG (dispatchers) | the same: software alone pends them. The F405 has neither of the first two, and its random number generator is off |
 //!
@@ -119,7 +120,7 @@ pub struct Step {
 }
 
 /// Lets one of a board's own interrupts in, at this RTIC priority.
-fn listen(nvic: &mut NVIC, interrupt: Interrupt, priority: u8) {
+pub fn listen(nvic: &mut NVIC, interrupt: Interrupt, priority: u8) {
     let level = ((1 << NVIC_PRIO_BITS) - priority) << (8 - NVIC_PRIO_BITS);
     // SAFETY: no lock of the tasks is relied on to keep the handler out, or is broken by its coming: the handlers
     // share nothing with tasks but atomics, and what they keep behind a critical section.

@@ -47,6 +47,7 @@ use crate::stm32f405::bus::{self, Bus};
 use crate::stm32f405::esc::{Lines, Sent};
 pub use crate::stm32f405::port::Ear;
 use crate::stm32f405::port::{self, Bytes, Port};
+use crate::stm32f405::power::{self, Failure};
 use crate::stm32f405::reset::Cause;
 pub use crate::stm32f405::reset::Watchdog;
 pub use crate::stm32f405::supply::Supply;
@@ -75,18 +76,28 @@ const BATTERY_CHANNEL: u8 = 10;
 
 const LINES: Lines = Lines::new(ESC);
 
+/// How the inertial sensor is soldered to this board: its x points right, its y forward, its z up. A row says what a
+/// body axis (forward, right, down) reads of the chip's axes.
+const IMU_MOUNTING: Mat3<f32> =
+    Mat3 { rows: [vec3(0.0, 1.0, 0.0), vec3(1.0, 0.0, 0.0), vec3(0.0, 0.0, -1.0)] };
+
+/// How the magnetometer is mounted on the vehicle, likewise. To be set for the vehicle: `docs/hardware.md` says how to
+/// find it out, and how to check it. As it stands here: the chip's x forward, its y to the right, its z down.
+const MAG_MOUNTING: Mat3<f32> =
+    Mat3 { rows: [vec3(1.0, 0.0, 0.0), vec3(0.0, 1.0, 0.0), vec3(0.0, 0.0, 1.0)] };
+
 unsafe extern "C" {
     /// The parameter sectors (memory.x): flash, which nothing in this image writes to.
     safe static STORED_CONFIG: [u8; MAX_RECORD];
 }
 
 /// What the board has and what a vehicle without a stored configuration flies with: datasheet sensitivities, and the
-/// inertial sensor turned as it is on this board, with its x to the right, its y forward, its z up.
+/// sensors turned as they are mounted.
 fn params() -> Params {
     let mut params = Params::default();
-    let mounting = Mat3 { rows: [vec3(0.0, 1.0, 0.0), vec3(1.0, 0.0, 0.0), vec3(0.0, 0.0, -1.0)] };
-    params.gyro = Sensitivity { mounting, ..params.gyro };
-    params.accel = Sensitivity { mounting, ..params.accel };
+    params.gyro = Sensitivity { mounting: IMU_MOUNTING, ..params.gyro };
+    params.accel = Sensitivity { mounting: IMU_MOUNTING, ..params.accel };
+    params.mag = Sensitivity { mounting: MAG_MOUNTING, ..params.mag };
     params
 }
 
@@ -97,7 +108,9 @@ fn params() -> Params {
 fn config() -> Config {
     let params = params();
     match stored::read(&STORED_CONFIG, &params) {
-        Ok(config) => {
+        Ok(mut config) => {
+            // A record is made of a scene, which knows of no mounting.
+            config.params.mag.mounting = MAG_MOUNTING;
             defmt::info!("configuration: stored, calibrated {=bool}", config.calibration.is_some());
             config
         }
@@ -123,8 +136,10 @@ pub fn init(mut core: cortex_m::Peripherals, device: pac::Peripherals) -> Board 
     let (m3, m4) = (gpiob.pb0.into_pull_down_input(), gpiob.pb1.into_pull_down_input());
 
     let watchdog = Watchdog::start(device.IWDG);
+    power::wait_for_supply(&device.PWR, &mut rcc);
     let clocks = rcc::Config::hse(8.MHz()).sysclk(168.MHz()).hclk(168.MHz()).pclk1(42.MHz()).pclk2(84.MHz());
     let mut rcc = rcc.freeze(clocks);
+    power::watch_crystal(&mut rcc);
     let reset = Cause::take(&mut rcc);
     let gpioa = device.GPIOA.split(&mut rcc);
     let gpioc = device.GPIOC.split(&mut rcc);
@@ -157,6 +172,13 @@ pub fn init(mut core: cortex_m::Peripherals, device: pac::Peripherals) -> Board 
     device.TIM5.egr().write(|w| w.ug().set_bit());
     device.TIM5.cr1().write(|w| w.cen().set_bit());
 
+    if let Some(failure) = Failure::take() {
+        defmt::error!("before the reset the motors were stopped: {=str}", failure.name());
+    }
+    if power::brown_out_reset_is_off(&device.FLASH) {
+        defmt::warn!("the brown-out reset is not set");
+    }
+
     let spi = Spi::new(
         device.SPI1,
         (
@@ -186,6 +208,7 @@ pub fn init(mut core: cortex_m::Peripherals, device: pac::Peripherals) -> Board 
     let compass = Compass(crate::compass::Compass::new(bus));
 
     let mut exti = device.EXTI;
+    power::watch_supply(&device.PWR, &exti, &mut core.NVIC);
     let mut data_ready = gpioc.pc4.into_pull_down_input();
     data_ready.make_interrupt_source(&mut device.SYSCFG.constrain(&mut rcc));
     data_ready.trigger_on_edge(&mut exti, Edge::Rising);
@@ -372,8 +395,8 @@ pub fn stop_after_fault() {
         connect_pads();
         send([STOP_US; 4]);
     } else {
-        // A fault before the clocks are set up. Since the reset nothing has been sent, and with this clock nothing can
-        // be: the pads stay low.
+        // A fault before the clocks are set up, or the crystal has failed. With this clock nothing can be sent: the
+        // pads are low.
         pull_pads_down();
     }
 }

@@ -6,6 +6,7 @@
 //! | [`burst`] | the inertial sensor by SPI1, and DMA2 streams 0 and 3 | no |
 //! | [`bus`] | I2C1, for sensors that may not be there | until the run's time is up |
 //! | [`port`] | the receiver by USART2 | no |
+//! | [`power`] | what happens when the chip's supply or its crystal fails | at start, until there is supply |
 //! | [`supply`] | the battery by ADC1 | no |
 //! | [`reset`] | why the chip has started, and the watchdog that restarts it | no |
 //!
@@ -19,6 +20,8 @@ pub mod bus;
 pub mod esc;
 #[cfg(not(feature = "unwired"))]
 pub mod port;
+#[cfg(not(feature = "unwired"))]
+pub mod power;
 #[cfg(not(feature = "unwired"))]
 pub mod reset;
 #[cfg(not(feature = "unwired"))]

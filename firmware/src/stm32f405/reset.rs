@@ -8,8 +8,10 @@ use stm32f4xx_hal::watchdog::IndependentWatchdog;
 /// What has reset the chip.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Cause {
-    /// Power came, or had dipped.
+    /// Power came.
     Power,
+    /// Power had dipped below the level of the brown-out reset, if that is set.
+    BrownOut,
     /// The reset pin.
     Pin,
     /// The program, or a debug probe.
@@ -23,6 +25,7 @@ impl Cause {
     pub const fn name(self) -> &'static str {
         match self {
             Self::Power => "power",
+            Self::BrownOut => "brown-out",
             Self::Pin => "pin",
             Self::Software => "software",
             Self::Watchdog => "watchdog",
@@ -33,13 +36,15 @@ impl Cause {
     pub fn take(rcc: &mut Rcc) -> Self {
         let flags = rcc.csr().read();
         rcc.csr().modify(|_, w| w.rmvf().set_bit());
-        // Every reset pulls the pin's flag along, and power sets the brown-out's.
+        // Every reset pulls the pin's flag along, and power that of the brown-out.
         if flags.wdgrstf().bit_is_set() || flags.wwdgrstf().bit_is_set() {
             Self::Watchdog
         } else if flags.sftrstf().bit_is_set() {
             Self::Software
-        } else if flags.porrstf().bit_is_set() || flags.borrstf().bit_is_set() {
+        } else if flags.porrstf().bit_is_set() {
             Self::Power
+        } else if flags.borrstf().bit_is_set() {
+            Self::BrownOut
         } else {
             Self::Pin
         }

@@ -64,9 +64,12 @@ const fn step(register: &'static str, address: u32, kind: Kind) -> Step {
 
 /// Every vector with a handler of its own. Register numbers and bits: RM0090, sections 10.5.3 (LIFCR), 12.3.6
 /// (EXTI_PR), 18.4.5 (TIM5_SR), 30.6.1 (USART2_SR).
-pub const SOURCES: [(&str, Source); 7] = [
+pub const SOURCES: [(&str, Source); 10] = [
+    ("PVD", Source::ByItself("it stops the motors, and does not come back")),
+    ("NonMaskableInt", Source::ByItself("it stops the motors, and does not come back")),
     ("CRYP", Source::ByItself("software pends it; the F405 has no such peripheral")),
     ("DCMI", Source::ByItself("software pends it; the F405 has no such peripheral")),
+    ("HASH_RNG", Source::ByItself("software pends it; the random number generator is off")),
     (
         "SysTick",
         Source::ByItself("an exception of the processor, which is no longer pending once it is entered"),

@@ -63,7 +63,7 @@ const FAST_LOOP: [&str; 3] = ["DMA2_STREAM0", "EXTI4", "TIM5"];
 /// The RTIC priority of each handler. Tasks: `#[task]` in `firmware/src/main.rs`; asynchronous tasks run in
 /// the vector of the dispatcher of their priority, of which the lowest comes first in `dispatchers`. The
 /// board's own interrupts: `SENSE_PRIORITY` in `firmware/src/board/mod.rs`.
-const HANDLERS: [(&str, u8); 8] = [
+const HANDLERS: [(&str, u8); 10] = [
     ("CRYP", 1),         // compass
     ("DCMI", 2),         // imu, health, announce
     ("HASH_RNG", 3),     // supply
@@ -72,6 +72,9 @@ const HANDLERS: [(&str, u8); 8] = [
     ("EXTI4", 6),        // data ready
     ("TIM5", 6),         // sample overdue
     ("USART2", 6),       // receive
+    ("PVD", 7),          // the supply is too low
+    // Above all priorities: the crystal has failed.
+    ("NonMaskableInt", 17),
 ];
 
 /// Where a panic begins: beginnings of names.
