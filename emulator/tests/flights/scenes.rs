@@ -34,7 +34,8 @@ fn compare(name: &str) {
     let within = |there: f64, here: f64, share: f64, and: f64| (there - here).abs() <= share * here + and;
     assert!(within(there.attitude_rmse_deg, here.attitude_rmse_deg, 0.5, 0.2), "{name}: attitude");
     assert!(within(there.inclination_rmse_deg, here.inclination_rmse_deg, 0.5, 0.2), "{name}: inclination");
-    assert!(within(there.tilt_error_max_deg, here.tilt_error_max_deg, 0.5, 0.5), "{name}: tilt error");
+    // Less is as well: `windy-landing` begins with 11° in its first 5 ms, before the board samples.
+    assert!(there.tilt_error_max_deg <= 1.5 * here.tilt_error_max_deg + 0.5, "{name}: tilt error");
     assert!(within(there.position_error_max_m, here.position_error_max_m, 0.1, 0.2), "{name}: distance");
 
     let config = replay::on_board(&scene.config, &SPEEDYBEE_F405_V4);
