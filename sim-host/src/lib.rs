@@ -16,6 +16,7 @@ pub mod effects;
 pub mod estimate;
 pub mod flight;
 pub mod hil;
+pub mod image;
 pub mod input_error;
 pub mod log;
 pub mod output_file;

@@ -1,0 +1,142 @@
+//! What of an ELF image is flashed, and its fingerprint.
+//!
+//! An ELF image says much that does not get into the chip: symbols, debug information, the text of log messages. What is
+//! flashed is its loadable segments (`PT_LOAD`) that have bytes, each at its physical address. The fingerprint is the
+//! SHA-256 of these bytes from the lowest address to the highest, with zeros in between: of the file that
+//! `objcopy -O binary` writes. `docs/hardware.md` has the commands that check it without this program.
+
+use elf::ElfBytes;
+use elf::abi::{EM_ARM, PT_LOAD};
+use elf::endian::LittleEndian;
+use elf::file::Class;
+
+use crate::input_error::InputError;
+
+/// From the lowest byte to the highest there can't be more, bytes: no microcontroller has as much flash.
+const LARGEST: u64 = 1 << 24;
+
+/// The bytes that are flashed, and the address of the first.
+///
+/// # Errors
+/// Not a 32-bit ELF image for Arm, one that has nothing to be flashed, or one whose segments overlap, lie beyond the end
+/// of the file or too far apart.
+pub fn flashed_bytes(elf: &[u8]) -> Result<(u32, Vec<u8>), InputError> {
+    let refused = |what: String| InputError::new(what).field("image");
+    let unreadable = |error: elf::ParseError| refused(format!("must be an ELF image for Arm: {error}"));
+    let file = ElfBytes::<LittleEndian>::minimal_parse(elf).map_err(unreadable)?;
+    if file.ehdr.class != Class::ELF32 || file.ehdr.e_machine != EM_ARM {
+        return Err(refused("must be a 32-bit ELF image for Arm".into()));
+    }
+    let headers = file.segments().into_iter().flatten();
+    let mut segments = Vec::new();
+    for header in headers.filter(|header| header.p_type == PT_LOAD && header.p_filesz > 0) {
+        segments.push((header.p_paddr, file.segment_data(&header).map_err(unreadable)?));
+    }
+    segments.sort_unstable_by_key(|&(address, _)| address);
+
+    let Some(&(start, _)) = segments.first() else {
+        return Err(refused("has no bytes to be flashed".into()));
+    };
+    let mut bytes = Vec::new();
+    for (address, data) in segments {
+        let at = address - start;
+        if at < bytes.len() as u64 {
+            return Err(refused(format!("has segments that overlap at {address:#010x}")));
+        }
+        if at + data.len() as u64 > LARGEST {
+            return Err(refused(format!("goes from {start:#010x} to {address:#010x}: no flash has as much")));
+        }
+        bytes.resize(at as usize, 0);
+        bytes.extend_from_slice(data);
+    }
+    let start = u32::try_from(start).map_err(|_| refused(format!("has no 32-bit address: {start:#x}")))?;
+    Ok((start, bytes))
+}
+
+/// The fingerprint of what is flashed: 64 hexadecimal digits.
+///
+/// # Errors
+/// As [`flashed_bytes`].
+pub fn image_sha256(elf: &[u8]) -> Result<String, InputError> {
+    let (_, bytes) = flashed_bytes(elf)?;
+    Ok(hmac_sha256::Hash::hash(&bytes).iter().map(|byte| format!("{byte:02x}")).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    /// A 32-bit ELF image with these segments: type, physical address and bytes. It has no sections.
+    fn image(segments: &[(u32, u32, &[u8])]) -> Vec<u8> {
+        const HEADER: u32 = 52;
+        const SEGMENT: u32 = 32;
+        let mut file = b"\x7fELF\x01\x01\x01\0\0\0\0\0\0\0\0\0\x02\0\x28\0\x01\0\0\0".to_vec();
+        let words = [0x0801_0001, HEADER, 0, 0x0500_0000];
+        file.extend(words.iter().flat_map(|word: &u32| word.to_le_bytes()));
+        let halves = [HEADER as u16, SEGMENT as u16, segments.len() as u16, 40, 0, 0];
+        file.extend(halves.iter().flat_map(|half| half.to_le_bytes()));
+        let mut offset = HEADER + SEGMENT * segments.len() as u32;
+        for &(kind, address, bytes) in segments {
+            let size = bytes.len() as u32;
+            let words = [kind, offset, 0x2000_0000, address, size, size + 4, 5, 4];
+            file.extend(words.iter().flat_map(|word| word.to_le_bytes()));
+            offset += size;
+        }
+        segments.iter().for_each(|(_, _, bytes)| file.extend(*bytes));
+        file
+    }
+
+    fn refused(elf: &[u8]) -> String {
+        flashed_bytes(elf).unwrap_err().to_string()
+    }
+
+    #[test]
+    fn segments_lie_at_their_physical_addresses() {
+        // The second comes first in flash; one has no bytes, one is not loaded.
+        let elf = image(&[
+            (PT_LOAD, 0x0800_0006, b"code"),
+            (PT_LOAD, 0x0800_0000, b"vec"),
+            (PT_LOAD, 0x2000_0000, b""),
+            (4, 0x0900_0000, b"note"),
+        ]);
+        assert_eq!(flashed_bytes(&elf).unwrap(), (0x0800_0000, b"vec\0\0\0code".to_vec()));
+    }
+
+    #[test]
+    fn the_fingerprint_is_the_sha256_of_the_bytes() {
+        // FIPS 180-2, appendix B.1.
+        let elf = image(&[(PT_LOAD, 0x0800_0000, b"ab"), (PT_LOAD, 0x0800_0002, b"c")]);
+        assert_eq!(
+            image_sha256(&elf).unwrap(),
+            "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
+        );
+    }
+
+    #[test]
+    fn what_cannot_be_flashed_is_refused() {
+        assert!(refused(b"no image").contains("must be an ELF image for Arm"));
+        let mut other_machine = image(&[(PT_LOAD, 0, b"x")]);
+        other_machine[18] = 62;
+        assert!(refused(&other_machine).contains("32-bit ELF image for Arm"));
+        assert!(refused(&image(&[])).contains("no bytes to be flashed"));
+        let overlap = image(&[(PT_LOAD, 0x0800_0000, b"abc"), (PT_LOAD, 0x0800_0002, b"d")]);
+        assert!(refused(&overlap).contains("overlap at 0x08000002"));
+        let far = image(&[(PT_LOAD, 0x0800_0000, b"abc"), (PT_LOAD, 0xffff_0000, b"d")]);
+        assert!(refused(&far).contains("no flash has as much"));
+        let cut = image(&[(PT_LOAD, 0x0800_0000, b"abc")]);
+        assert!(refused(&cut[..cut.len() - 1]).contains("must be an ELF image for Arm"));
+    }
+
+    proptest! {
+        #[test]
+        fn any_header_gives_bytes_or_an_error(at in 0_usize..148, byte: u8, length in 0_usize..160) {
+            let mut elf = image(&[(PT_LOAD, 0x0800_0000, b"abc"), (PT_LOAD, 0x0800_0100, b"def")]);
+            elf[at.min(121)] = byte;
+            elf.truncate(length);
+            if let Ok((_, bytes)) = flashed_bytes(&elf) {
+                prop_assert!(bytes.len() as u64 <= LARGEST);
+            }
+        }
+    }
+}

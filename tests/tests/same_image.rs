@@ -1,0 +1,118 @@
+//! The flash image is the same, whoever builds it and wherever: two copies of the sources, in folders of different
+//! length, by two users with their own home and their own CARGO_HOME.
+//!
+//! Both are built by this machine's toolchain. That another operating system gives the same bytes is not shown here, nor
+//! that a toolchain with the standard library's sources does, which was tried by hand (`.cargo/rustc` sees to it).
+
+use std::env;
+use std::ffi::OsStr;
+use std::fs;
+use std::os::unix::fs::symlink;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use sim_host::image::{flashed_bytes, image_sha256};
+
+const TARGET: &str = "thumbv7em-none-eabihf";
+
+fn workspace() -> &'static Path {
+    Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap()
+}
+
+fn cargo() -> Command {
+    Command::new(env::var_os("CARGO").as_deref().unwrap_or(OsStr::new("cargo")))
+}
+
+fn run(command: &mut Command) -> Vec<u8> {
+    let output = command.output().unwrap_or_else(|error| panic!("{command:?}: {error}"));
+    assert!(output.status.success(), "{command:?}:\n{}", String::from_utf8_lossy(&output.stderr));
+    output.stdout
+}
+
+/// A place that is under the home directory unless a variable says otherwise.
+fn place(variable: &str, under_home: &str) -> PathBuf {
+    let home = || PathBuf::from(env::var_os("HOME").expect("a home directory")).join(under_home);
+    env::var_os(variable).map_or_else(home, PathBuf::from)
+}
+
+/// The sources as they are in the working tree, without what git does not know.
+fn copy_sources(to: &Path) {
+    let listed = run(Command::new("git").current_dir(workspace()).args([
+        "ls-files",
+        "-z",
+        "--cached",
+        "--others",
+        "--exclude-standard",
+    ]));
+    for name in String::from_utf8(listed).unwrap().split_terminator('\0') {
+        let (from, to) = (workspace().join(name), to.join(name));
+        // What was removed and is still in the index is not there.
+        if from.is_file() {
+            fs::create_dir_all(to.parent().unwrap()).unwrap();
+            fs::copy(&from, &to).unwrap();
+        }
+    }
+}
+
+/// What a user of their own, with this home, builds in `folder`. Their CARGO_HOME has the crates as they were fetched,
+/// and unpacks them for itself.
+fn build(folder: &Path, home: &Path) -> Vec<u8> {
+    copy_sources(folder);
+    let cargo_home = home.join("cargo");
+    fs::create_dir_all(cargo_home.join("registry")).unwrap();
+    for part in ["index", "cache"] {
+        let fetched = place("CARGO_HOME", ".cargo").join("registry").join(part);
+        symlink(fetched, cargo_home.join("registry").join(part)).unwrap();
+    }
+    let mut command = cargo();
+    command
+        .current_dir(folder)
+        .args(["build", "--release", "--package", "firmware", "--target", TARGET, "--offline", "--quiet"])
+        .env("RUSTUP_HOME", place("RUSTUP_HOME", ".rustup"))
+        .env("HOME", home)
+        .env("CARGO_HOME", cargo_home);
+    // What the surrounding build was told is none of theirs.
+    for variable in ["CARGO_TARGET_DIR", "DEFMT_LOG", "RUSTC", "RUSTFLAGS", "CARGO_ENCODED_RUSTFLAGS"] {
+        command.env_remove(variable);
+    }
+    run(&mut command);
+    fs::read(folder.join("target").join(TARGET).join("release/firmware")).unwrap()
+}
+
+#[test]
+#[ignore = "builds the firmware twice"]
+fn two_users_build_the_same_image() {
+    // The only step that may need a network.
+    run(cargo().current_dir(workspace()).args(["fetch", "--locked"]));
+    // Outside of the workspace, whose configuration would be theirs too.
+    let directory = tempfile::Builder::new().prefix("kestrel-image-").tempdir().unwrap();
+    let temporary = directory.path();
+    let one = build(&temporary.join("a/kestrel"), &temporary.join("a/home"));
+    let folder = "another user/with a longer path to it";
+    let other = build(&temporary.join(folder).join("sources"), &temporary.join(folder).join("home"));
+
+    let (start, bytes) = flashed_bytes(&one).unwrap();
+    println!("image: {} bytes from {start:#010x}, sha256 {}", bytes.len(), image_sha256(&one).unwrap());
+    let place = temporary.to_str().unwrap().as_bytes();
+    let named = bytes.windows(place.len()).any(|bytes| bytes == place);
+    assert!(!named, "the image names {}", temporary.display());
+    assert_eq!(image_sha256(&one).unwrap(), image_sha256(&other).unwrap(), "what is flashed");
+    assert!(one == other, "the files differ, in what is not flashed");
+    agrees_with_objcopy(&one, temporary);
+}
+
+/// Other programs take the same bytes for what is flashed, where one is installed.
+fn agrees_with_objcopy(elf: &[u8], folder: &Path) {
+    let (image, flat) = (folder.join("image"), folder.join("image.bin"));
+    fs::write(&image, elf).unwrap();
+    for program in ["llvm-objcopy", "arm-none-eabi-objcopy"] {
+        let status = Command::new(program).args(["-O", "binary"]).args([&image, &flat]).status();
+        if status.is_ok_and(|status| status.success()) {
+            assert!(
+                fs::read(&flat).unwrap() == flashed_bytes(elf).unwrap().1,
+                "{program} flashes other bytes"
+            );
+            println!("image: {program} takes the same bytes");
+        }
+    }
+}
