@@ -251,7 +251,7 @@ impl Machine {
         let divider = registers.get(Register::Brr);
         let (control, stop) = (registers.get(Register::Cr1), registers.get(Register::Cr2));
         let clock_hz = CORE_HZ / 4;
-        let baud = if divider == 0 { 0 } else { clock_hz / divider };
+        let baud = clock_hz.checked_div(divider).unwrap_or(0);
         let wanted = u64::from(line.baud);
         let right = baud.abs_diff(wanted) * 100 <= 3 * wanted
             && cr1::PCE.is_set(control) == line.parity

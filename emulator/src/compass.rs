@@ -16,6 +16,12 @@ pub struct Compass {
 
 store!(Compass);
 
+impl Default for Compass {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
 impl Compass {
     /// A sensor whose supply has just come up.
     pub fn new() -> Self {

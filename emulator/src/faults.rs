@@ -60,26 +60,21 @@ pub struct Active {
     pub battery_v: Option<f64>,
     garbage_until_ns: u64,
     random: u32,
-    /// Functions by a part of their name.
-    find: Box<dyn Fn(&str) -> Option<u64> + Send>,
+    /// Every symbol of the image, and its address.
+    symbols: Vec<(String, u64)>,
     spoiled: Vec<(&'static str, u64, u64)>,
 }
 
 impl Active {
     /// Nothing is wrong yet.
     pub fn new(firmware: &Firmware) -> Self {
-        let symbols = firmware.demangled();
-        let find = move |part: &str| {
-            let is = symbols.iter().find(|(name, _)| name == part);
-            is.or_else(|| symbols.iter().find(|(name, _)| name.contains(part))).map(|(_, address)| *address)
-        };
         Self {
             compass_absent: false,
             radio_silent: false,
             battery_v: None,
             garbage_until_ns: 0,
             random: 1,
-            find: Box::new(find),
+            symbols: firmware.demangled(),
             spoiled: Vec::new(),
         }
     }
@@ -120,7 +115,7 @@ impl Active {
                 }
             }
             Fault::FlippedPointer(symbol, bit) => {
-                let target = (self.find)(symbol).unwrap_or_else(|| panic!("no symbol {symbol}"));
+                let target = self.find(symbol).unwrap_or_else(|| panic!("no symbol {symbol}"));
                 let mut flipped = 0;
                 for address in RAM.step_by(4) {
                     if host.read(address, Width::W32).is_ok_and(|word| word == target) {
@@ -133,8 +128,14 @@ impl Active {
         }
     }
 
+    /// Address of the symbol of this name, or else of the first with this in its name.
+    fn find(&self, part: &str) -> Option<u64> {
+        let is = self.symbols.iter().find(|(name, _)| name == part);
+        is.or_else(|| self.symbols.iter().find(|(name, _)| name.contains(part))).map(|(_, address)| *address)
+    }
+
     fn spoil(&mut self, function: &'static str, instruction: u64, host: &mut dyn Host) {
-        let address = (self.find)(function).unwrap_or_else(|| panic!("no function {function}"));
+        let address = self.find(function).unwrap_or_else(|| panic!("no function {function}"));
         let was = host.read(address, Width::W16).expect("it is in flash");
         host.program(address, Width::W16, instruction).expect("it is in flash");
         self.spoiled.push((function, address, was));

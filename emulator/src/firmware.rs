@@ -8,7 +8,7 @@ use std::process::Command;
 
 use object::{Architecture, Object as _, ObjectSegment as _, ObjectSymbol as _};
 use rigless::image::Image;
-use sha2::{Digest as _, Sha256};
+use sim_host::image::image_sha256;
 use sim_host::input_error::InputError;
 
 /// Where the configuration is stored: sector 1 (memory.x).
@@ -100,7 +100,6 @@ impl Firmware {
                 file.architecture()
             )));
         }
-        let mut hash = Sha256::new();
         let mut vector_table = None;
         for segment in file.segments() {
             let data = segment.data().map_err(|error| refused(format!("is cut short: {error}")))?;
@@ -123,9 +122,6 @@ impl Firmware {
             if from == FLASH.start {
                 vector_table = Some(data.to_vec());
             }
-            hash.update((from as u32).to_le_bytes());
-            hash.update((data.len() as u32).to_le_bytes());
-            hash.update(data);
         }
         let table = vector_table.ok_or_else(|| refused("has no vector table at 0x08000000".into()))?;
         let vectors = table.as_chunks().0.iter().map(|word| u32::from_le_bytes(*word)).collect();
@@ -134,7 +130,7 @@ impl Firmware {
             .filter_map(|symbol| Some((symbol.name().ok()?.to_owned(), symbol.address())))
             .filter(|(name, _)| !name.is_empty() && !name.starts_with('$'))
             .collect();
-        let sha256 = hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect();
+        let sha256 = image_sha256(&elf)?;
         let firmware = Self { path: path.to_owned(), elf, symbols, vectors, sha256 };
         firmware.check_kind()?;
         Ok(firmware)
@@ -189,7 +185,7 @@ impl Firmware {
         &self.elf
     }
 
-    /// SHA-256 of what is programmed: each segment's address, length (little-endian) and bytes, in the file's order.
+    /// SHA-256 of what is programmed: [`sim_host::image`].
     pub fn sha256(&self) -> &str {
         &self.sha256
     }

@@ -79,6 +79,12 @@ pub struct Imu {
 
 store!(Imu);
 
+impl Default for Imu {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
 impl Imu {
     /// A sensor whose supply has just come up.
     pub fn new() -> Self {
@@ -243,7 +249,7 @@ impl Imu {
         if let Some(every) = self.faults.flip_every {
             // A multiplicative hash, so that neither words nor bits come in a row.
             let hash = self.words.wrapping_mul(0x9e37_79b1);
-            if (hash >> 7) % every == 0 {
+            if (hash >> 7).is_multiple_of(every) {
                 byte ^= 1 << (hash & 7);
             }
         }

@@ -301,8 +301,9 @@ impl Board {
         }
     }
 
-    /// The longest time without a sample since the last call, µs, and the longest without a step.
+    /// The longest time without a sample since the last call, up to now, µs, and the longest without a step.
     fn longest_gaps_us(&mut self) -> (u64, u64) {
+        let now = std::iter::once(u64::from(self.now_us()));
         let longest = |times: &mut dyn Iterator<Item = u64>| {
             let (mut last, mut longest) = (None, 0);
             for time_us in times {
@@ -311,8 +312,9 @@ impl Board {
             }
             longest
         };
-        let sampled = longest(&mut self.steps.iter().filter(|step| step.1).map(|step| step.0));
-        let stepped = longest(&mut self.steps.iter().map(|step| step.0));
+        let sampled =
+            longest(&mut self.steps.iter().filter(|step| step.1).map(|step| step.0).chain(now.clone()));
+        let stepped = longest(&mut self.steps.iter().map(|step| step.0).chain(now));
         self.steps.clear();
         (sampled, stepped)
     }

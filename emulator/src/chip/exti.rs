@@ -47,7 +47,7 @@ const VECTORS: [usize; LINES] = {
 pub const INTERRUPTS: [u16; 9] = [2, 6, 7, 8, 9, 10, 23, 40, 1];
 
 /// The controller.
-#[derive(Debug, serde::Serialize, serde::Deserialize)]
+#[derive(Debug, Default, serde::Serialize, serde::Deserialize)]
 pub struct Exti {
     /// The port that each of lines 0 to 15 listens to, 0 for port A.
     ports: [u8; 16],
@@ -55,12 +55,6 @@ pub struct Exti {
     pins: [u16; 9],
     /// Levels of the lines.
     lines: u32,
-}
-
-impl Default for Exti {
-    fn default() -> Self {
-        Self { ports: [0; 16], pins: [0; 9], lines: 0 }
-    }
 }
 
 store!(Exti);

@@ -12,9 +12,9 @@ use super::{assert_healthy, assert_sound, fly, fly_twice, scene};
 /// The two flights differ in these: the board begins to sample 60 ms after the world began; a command reaches the rotor
 /// up to a PWM period or a DShot frame later, and in whole counts of the timer; the receiver's frame arrives in the
 /// next millisecond, which is one step later; the battery is measured in steps of 9 mV. So noise meets other moments:
-/// the estimate's error is of the same size and not the same. Over 20 seeds of each scene the RMSE differed by less
-/// than 35 % and 0.1° (docs/emulator.md); the bounds leave as much again. The distance from the target differs by what
-/// a later command makes of it: 0.2 m.
+/// the estimate's error is of the same size and not the same. With the scenes' own seeds the RMSE differs by up to 18 %
+/// (`windy-landing`); the bounds leave more than twice as much. The distance from the target differs by what a later
+/// command makes of it: 0.2 m.
 #[track_caller]
 fn compare(name: &str) {
     let scene = scene(name, None);
@@ -34,7 +34,8 @@ fn compare(name: &str) {
     let within = |there: f64, here: f64, share: f64, and: f64| (there - here).abs() <= share * here + and;
     assert!(within(there.attitude_rmse_deg, here.attitude_rmse_deg, 0.5, 0.2), "{name}: attitude");
     assert!(within(there.inclination_rmse_deg, here.inclination_rmse_deg, 0.5, 0.2), "{name}: inclination");
-    assert!(within(there.tilt_error_max_deg, here.tilt_error_max_deg, 0.5, 0.5), "{name}: tilt error");
+    // Less is as well: `windy-landing` begins with 11° in its first 5 ms, before the board samples.
+    assert!(there.tilt_error_max_deg <= 1.5 * here.tilt_error_max_deg + 0.5, "{name}: tilt error");
     assert!(within(there.position_error_max_m, here.position_error_max_m, 0.1, 0.2), "{name}: distance");
 
     let config = replay::on_board(&scene.config, &SPEEDYBEE_F405_V4);
