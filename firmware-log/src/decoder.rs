@@ -127,7 +127,8 @@ impl Decoder {
     ///
     /// The firmware's time has 32 bits, 71.6 minutes. A time that lies more than half of that before the last one is
     /// taken for the next round. One that lies less far before it is left as it is: the firmware was reset, or a line
-    /// was overtaken by that of an interrupt.
+    /// was overtaken by that of an interrupt. If the first time is in the last second of the 71.6 minutes, it is before
+    /// zero, and given as zero: where time comes from a flight, the firmware starts shortly before that.
     pub fn push(&mut self, bytes: &[u8]) -> Vec<Line> {
         self.unread.extend_from_slice(bytes);
         let end = match self.unread.iter().rposition(|&byte| byte == 0) {
@@ -184,21 +185,25 @@ fn microseconds(text: &str) -> Option<u64> {
 /// The extension of 32 bits of microseconds.
 #[derive(Clone, Copy, Debug, Default)]
 struct Clock {
-    last: u64,
-    rounds: u64,
+    last: Option<u64>,
+    rounds: i64,
 }
 
 impl Clock {
     const ROUND: u64 = 1 << 32;
 
     fn at(&mut self, us: u64) -> u64 {
-        if us < Self::ROUND {
-            if us + Self::ROUND / 2 < self.last {
-                self.rounds += 1;
-            }
-            self.last = us;
+        if us >= Self::ROUND {
+            return us;
         }
-        self.rounds * Self::ROUND + us
+        match self.last {
+            None if us >= Self::ROUND - 1_000_000 => self.rounds = -1,
+            Some(last) if us + Self::ROUND / 2 < last => self.rounds += 1,
+            _ => {}
+        }
+        self.last = Some(us);
+        // What is before zero is given as zero.
+        (us as i64).saturating_add(self.rounds.saturating_mul(Self::ROUND as i64)).max(0) as u64
     }
 }
 
@@ -225,6 +230,13 @@ mod tests {
         assert_eq!(clock.at(10), 10);
         assert_eq!(clock.at(0xffff_ff00), 0xffff_ff00);
         assert_eq!(clock.at(0x10), (1 << 32) + 0x10);
+
+        let mut before_zero = Clock::default();
+        assert_eq!(before_zero.at(0xffff_fe0c), 0);
+        assert_eq!(before_zero.at(0xffff_fe20), 0);
+        assert_eq!(before_zero.at(999_500), 999_500);
+        assert_eq!(before_zero.at(0xffff_ff00), 0xffff_ff00);
+        assert_eq!(before_zero.at(7), (1 << 32) + 7);
         // What has more than 32 bits is no count that wraps.
         assert_eq!(Clock::default().at(1 << 33), 1 << 33);
     }

@@ -1,12 +1,14 @@
 //! The command `hil`.
 
 use std::fmt::Write as _;
-use std::path::Path;
+use std::fs;
+use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use serde_json::{Value, json};
 use sim_host::flight::{FlightLog, summary};
 use sim_host::hil::{self, Account, Faults, Flown, LinkError, Received, Report, Serial, Wire};
+use sim_host::image::image_sha256;
 use sim_host::input_error::InputError;
 use sim_host::report::{self, Recorder};
 use sim_host::scene::Scene;
@@ -28,10 +30,37 @@ pub fn run(arguments: &HilArguments) -> Result<Answer, InputError> {
 
 #[cfg(unix)]
 fn on_qemu(scene: &Scene, arguments: &HilArguments) -> Result<Answer, InputError> {
-    let image = arguments.image.as_deref().map_or_else(|| hil::build(hil::PIPES), hil::check)?;
+    if arguments.firmware_log {
+        return with_log(scene, arguments);
+    }
+    let image = image(arguments)?;
     let mut qemu = hil::Qemu::start(&image)?;
     let (flown, wall_s) = one(&mut qemu, scene, arguments)?;
     Ok(answer(scene, &image, &flown, wall_s, Some(&qemu.end())))
+}
+
+/// The image that is given, or built.
+#[cfg(unix)]
+fn image(arguments: &HilArguments) -> Result<PathBuf, InputError> {
+    arguments.image.as_deref().map_or_else(|| hil::build(hil::PIPES), hil::check)
+}
+
+#[cfg(all(target_os = "linux", feature = "firmware-log"))]
+fn with_log(scene: &Scene, arguments: &HilArguments) -> Result<Answer, InputError> {
+    let image = image(arguments)?;
+    let mut qemu = hil::WithLog::start(&image, |line| eprintln!("{line}"))?;
+    let (flown, wall_s) = one(&mut qemu, scene, arguments)?;
+    Ok(answer(scene, &image, &flown, wall_s, Some(&qemu.end())))
+}
+
+#[cfg(all(unix, not(all(target_os = "linux", feature = "firmware-log"))))]
+fn with_log(_: &Scene, _: &HilArguments) -> Result<Answer, InputError> {
+    let needed = if cfg!(target_os = "linux") {
+        "needs a program with the decoder: cargo run --release -p sim-host --features firmware-log -- hil ..."
+    } else {
+        "needs Linux, to read the emulator's memory"
+    };
+    Err(InputError::new(needed).field("--firmware-log"))
 }
 
 #[cfg(not(unix))]
@@ -91,19 +120,22 @@ fn answer(scene: &Scene, firmware: &Path, flown: &Flown, wall_s: f64, account: O
         _ => summary::verdict(outcome),
     };
     let unmodelled = account.map(|account| &account.unmodelled[..]);
+    // At a port nobody knows what the board runs.
+    let sha256 = account.and_then(|_| image_sha256(&fs::read(firmware).ok()?).ok());
     let last_words = account.filter(|_| complaint.is_some()).map_or(&[][..], |account| &account.last_words);
 
     let mut text = summary::describe(scene, outcome, &verdict, wall_s);
     write!(
         text,
         "\n\n  \
-         firmware                 {}\n  \
+         firmware                 {}{}\n  \
          frames                   {}, {} of them without an answer\n  \
          link                     to the firmware {}; from it {}\n  \
          resets                   {}\n  \
          missed deadlines         {}\n  \
          instructions             {}",
         firmware.display(),
+        sha256.as_ref().map_or(String::new(), |sha256| format!(", sha256 {sha256}")),
         report.frames,
         report.unanswered,
         in_words(report.to_board),
@@ -129,6 +161,7 @@ fn answer(scene: &Scene, firmware: &Path, flown: &Flown, wall_s: f64, account: O
     let mut json = summary::to_json(scene, scene.seed, outcome, wall_s);
     let further = json!({
         "firmware": firmware.display().to_string(),
+        "image_sha256": sha256,
         "ended_by": complaint,
         "frames": report.frames,
         "unanswered": report.unanswered,

@@ -135,6 +135,10 @@ struct HilArguments {
     /// Write a report with plots, readable in any browser without a network
     #[arg(long, value_name = "F.html")]
     report: Option<PathBuf>,
+    /// Print the firmware's log on standard error, with the time in the flight. Needs a build with the cargo feature
+    /// firmware-log
+    #[arg(long, conflicts_with = "serial")]
+    firmware_log: bool,
     /// Test the link: flip one bit in every N-th frame to the board
     #[arg(long, value_name = "N")]
     flip_bit_every: Option<NonZeroU32>,

@@ -12,6 +12,8 @@
 
 mod image;
 mod link;
+#[cfg(all(target_os = "linux", feature = "firmware-log"))]
+mod log;
 #[cfg(unix)]
 mod qemu;
 mod serial;
@@ -26,6 +28,8 @@ use crate::scene::Scene;
 pub use hil_link::Received;
 pub use image::{PIPES, USART, build, check};
 pub use link::{Faults, Link, LinkError, Patience, Report, Reset, Wire};
+#[cfg(all(target_os = "linux", feature = "firmware-log"))]
+pub use log::WithLog;
 #[cfg(unix)]
 pub use qemu::Qemu;
 pub use serial::{BAUD, Serial};

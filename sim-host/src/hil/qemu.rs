@@ -76,16 +76,21 @@ impl Qemu {
     /// # Errors
     /// The emulator isn't installed, or can't be started.
     pub fn start(image: &Path) -> Result<Self, InputError> {
+        Self::start_with(image, &[])
+    }
+
+    /// The same, with these further arguments to the emulator.
+    pub(super) fn start_with(image: &Path, further: &[&str]) -> Result<Self, InputError> {
         let refused = |error: io::Error| match error.kind() {
             io::ErrorKind::NotFound => InputError::new(
                 "not found: install it, on Debian and Ubuntu by apt-get install qemu-system-arm",
             ),
             _ => InputError::new(format!("does not start: {error}")),
         };
-        Self::try_start(image).map_err(|error| refused(error).file(PROGRAM))
+        Self::try_start(image, further).map_err(|error| refused(error).file(PROGRAM))
     }
 
-    fn try_start(image: &Path) -> io::Result<Self> {
+    fn try_start(image: &Path, further: &[&str]) -> io::Result<Self> {
         let directory = tempfile::Builder::new().prefix("kestrel-hil-").tempdir()?;
         // Opened for both directions, so that neither side waits for the other to open its end.
         let pipe = |name: &str| {
@@ -101,6 +106,7 @@ impl Qemu {
             .args(["-semihosting-config", "enable=on,target=native"])
             .args(["-display", "none", "-serial", "none", "-monitor", "none"])
             .args(["-d", "unimp,guest_errors", "-D", ACCESSES])
+            .args(further)
             .arg("-kernel")
             .arg(image)
             .stdin(Stdio::null())
@@ -115,6 +121,18 @@ impl Qemu {
     /// The emulator's process.
     pub fn id(&self) -> u32 {
         self.emulator.id()
+    }
+
+    /// Its working directory.
+    #[cfg(all(target_os = "linux", feature = "firmware-log"))]
+    pub(super) fn directory(&self) -> &Path {
+        self.directory.path()
+    }
+
+    /// Whether all its threads sleep: the firmware waits for a frame.
+    #[cfg(all(target_os = "linux", feature = "firmware-log"))]
+    pub(super) fn sleeps(&self) -> bool {
+        sleeps(&format!("/proc/{}", self.emulator.id()))
     }
 
     /// Waits for the emulator to end, but not for long.

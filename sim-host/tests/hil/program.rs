@@ -291,6 +291,19 @@ fn what_is_missing_or_wrong_is_one_line_and_exit_code_2() {
             &["--serial", "missing"],
             "--serial = missing: cannot be opened: No such file or directory (os error 2)",
         ),
+        #[cfg(not(feature = "firmware-log"))]
+        (
+            None,
+            &["--qemu", "--firmware-log"],
+            "--firmware-log: needs a program with the decoder: cargo run --release -p sim-host --features \
+             firmware-log -- hil ...",
+        ),
+        #[cfg(feature = "firmware-log")]
+        (
+            None,
+            &["--qemu", "--firmware-log", "--image", "image"],
+            "--firmware-log: the table of log messages cannot be read: Unknown file magic",
+        ),
         (
             Some(&none),
             &["--qemu"],
@@ -309,6 +322,7 @@ fn what_is_missing_or_wrong_is_one_line_and_exit_code_2() {
         &[][..],
         &["--qemu", "--serial", "port"],
         &["--serial", "port", "--image", "image"],
+        &["--serial", "port", "--firmware-log"],
         &["--qemu", "--flip-bit-every", "0"],
         &["--qemu", "--delay-at-s", "1"],
         &["--qemu", "--delay-at-s", "-1", "--delay-ms", "5"],

@@ -31,6 +31,8 @@ pub enum Source {
     },
     /// Nothing: and why nothing need.
     ByItself(&'static str),
+    /// Nothing: the handler never returns, whatever it does.
+    NeverReturns(&'static str),
 }
 
 /// An access that is part of taking an interrupt down.
@@ -65,8 +67,8 @@ const fn step(register: &'static str, address: u32, kind: Kind) -> Step {
 /// Every vector with a handler of its own. Register numbers and bits: RM0090, sections 10.5.3 (LIFCR), 12.3.6
 /// (EXTI_PR), 18.4.5 (TIM5_SR), 30.6.1 (USART2_SR).
 pub const SOURCES: [(&str, Source); 10] = [
-    ("PVD", Source::ByItself("it stops the motors, and does not come back")),
-    ("NonMaskableInt", Source::ByItself("it stops the motors, and does not come back")),
+    ("PVD", Source::NeverReturns("it stops the motors")),
+    ("NonMaskableInt", Source::NeverReturns("it stops the motors")),
     ("CRYP", Source::ByItself("software pends it; the F405 has no such peripheral")),
     ("DCMI", Source::ByItself("software pends it; the F405 has no such peripheral")),
     ("HASH_RNG", Source::ByItself("software pends it; the random number generator is off")),
