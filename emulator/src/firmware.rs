@@ -46,7 +46,7 @@ impl Firmware {
     pub fn build_with_esc(esc: Option<&str>) -> Result<Self, InputError> {
         let refused =
             |what: String| InputError::new(format!("{what}: name an image by --image ELF")).file("firmware");
-        let workspace = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
+        let workspace = Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap_or(Path::new("/"));
         if !workspace.join("firmware/Cargo.toml").exists() {
             return Err(refused(format!("the sources are not in {}", workspace.display())));
         }
@@ -56,7 +56,7 @@ impl Firmware {
             .map_err(|error| refused(format!("no target directory: {error}")))?;
         let mut cargo = Command::new(std::env::var_os("CARGO").as_deref().unwrap_or(OsStr::new("cargo")));
         cargo
-            .current_dir(&workspace)
+            .current_dir(workspace)
             // As the alias flash-fw of .cargo/config.toml, but for `run`.
             .args(["build", "--release", "--package", "firmware", "--target", TARGET, "--target-dir"])
             .arg(&target)
@@ -217,6 +217,29 @@ impl Firmware {
     /// Address of the handler of exception `number`; interrupts begin at 16.
     pub fn handler(&self, number: u16) -> Option<u64> {
         self.vectors.get(usize::from(number)).map(|&address| u64::from(address & !1))
+    }
+
+    /// Addresses at which the handler of exception `number` returns, or would if a condition held: `bx lr`, and `pop` with
+    /// the program counter in its list, in the function that the vector names.
+    pub fn returns(&self, number: u16) -> Vec<u64> {
+        let (Some(entry), Ok(file)) = (self.handler(number), object::File::parse(&*self.elf)) else {
+            return Vec::new();
+        };
+        let size =
+            file.symbols().filter(|symbol| symbol.address() & !1 == entry).map(|symbol| symbol.size()).max();
+        let found = file.segments().find_map(|segment| {
+            let from = entry.checked_sub(segment.address())? as usize;
+            segment.data().ok()?.get(from..from + size? as usize)
+        });
+        let halves: Vec<u16> =
+            found.unwrap_or_default().as_chunks().0.iter().map(|half| u16::from_le_bytes(*half)).collect();
+        let is_return = |at: usize| {
+            let next = halves.get(at + 1).copied().unwrap_or(0);
+            halves[at] == 0x4770
+                || halves[at] & 0xff00 == 0xbd00
+                || (halves[at] == 0xe8bd && next & 0x8000 != 0)
+        };
+        (0..halves.len()).filter(|&at| is_return(at)).map(|at| entry + 2 * at as u64).collect()
     }
 
     /// Addresses at which the core may be sent to sleep: wherever the bytes of `wfi` stand.

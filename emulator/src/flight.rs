@@ -114,9 +114,13 @@ pub fn fly(
     let mut session = Session::new(Box::new(board), 0, VirtualNanos(STEP_NS))
         .map_err(|error| InputError::new(format!("the board does not assemble: {error}")))?;
     let vectors = Vectors::new(settings.firmware);
-    let handlers = HANDLERS.map(|(_, number)| settings.firmware.handler(number).unwrap_or(0));
+    let handlers = HANDLERS.map(|handler| settings.firmware.handler(handler.exception).unwrap_or(0));
+    let returns = HANDLERS.iter().enumerate().flat_map(|(n, handler)| {
+        settings.firmware.returns(handler.exception).into_iter().map(move |address| (address, n))
+    });
+    let returns: BTreeMap<u64, usize> = returns.collect();
     let sleeps = settings.firmware.sleeps();
-    for address in handlers.iter().chain(&sleeps) {
+    for address in handlers.iter().chain(returns.keys()).chain(&sleeps) {
         session.watch(Watch::Instruction(*address));
     }
     // Word 0 of the record counts: odd while a step is being recorded, even when it is complete.
@@ -152,6 +156,7 @@ pub fn fly(
         active: crate::faults::Active::new(settings.firmware),
         vectors,
         handlers,
+        returns,
         sleeps,
         timing: Timing::default(),
         in_ccm: BTreeMap::new(),
@@ -226,6 +231,7 @@ struct Pilot {
     active: crate::faults::Active,
     vectors: Vectors,
     handlers: [u64; HANDLERS.len()],
+    returns: BTreeMap<u64, usize>,
     sleeps: Vec<u64>,
     timing: Timing,
     in_ccm: BTreeMap<(usize, usize), u64>,
@@ -269,6 +275,9 @@ impl Pilot {
         }
         self.missed_deadlines = self.missed_deadlines.max(record.health.missed_deadlines);
         self.armed |= record.outcome.driven;
+        if record.imu.is_some() {
+            self.timing.stamped(record.time_us);
+        }
         self.records.push(record);
         self.record = Some(record);
     }
@@ -353,7 +362,9 @@ impl Pilot {
     }
 
     fn send(&mut self, machine: &mut Machine, rc: &RcFrame, now_ns: u64) {
-        machine.radio().send(rc, &self.channels, now_ns);
+        // The receiver's clock is not the sensor's: its frames move along the samples, by 37 ppm here.
+        let phase_ns = now_ns / 1_000 * 37 / 1_000 % STEP_NS;
+        machine.radio().send(rc, &self.channels, now_ns + phase_ns);
     }
 }
 
@@ -379,6 +390,9 @@ impl Driver<FlightBoard> for Pilot {
             Settled::Hit(hit) if hit.kind == HitKind::Write => self.take_record(host),
             Settled::Hit(hit) if self.sleeps.contains(&hit.address) => {
                 self.timing.sleeps(hit.instruction_count);
+            }
+            Settled::Hit(hit) if self.returns.contains_key(&hit.address) => {
+                self.timing.returns(self.returns[&hit.address], hit.instruction_count);
             }
             Settled::Hit(hit) => {
                 if let Some(handler) = self.handlers.iter().position(|entry| *entry == hit.address) {

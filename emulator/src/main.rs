@@ -13,7 +13,7 @@ use emulator::board::{BOARDS, INSTRUCTIONS_PER_SECOND, Wiring};
 use emulator::firmware::Firmware;
 use emulator::flight::{self, Flown, Settings};
 use emulator::radio::Protocol;
-use emulator::timing::HANDLERS;
+use emulator::timing::{HANDLERS, Spread};
 use serde_json::{Value, json};
 use sim_host::flight::{FlightLog, summary};
 use sim_host::input_error::InputError;
@@ -153,6 +153,11 @@ fn verdict(flown: &Flown, complaints: &[String]) -> String {
     if complaints.is_empty() { verdict } else { format!("{verdict}, BUT {}", complaints.join("; ")) }
 }
 
+/// Share of the flight's time that a handler's runs take.
+fn share(runs: &Spread, flown: &Flown) -> f64 {
+    runs.mean() * runs.count() as f64 / (flown.outcome.flown_s() * INSTRUCTIONS_PER_SECOND as f64)
+}
+
 /// A `String` never refuses to be written to.
 const TAKES_ALL: &str = "a String takes everything";
 
@@ -177,13 +182,13 @@ fn describe(
          resets                   {}\n  \
          missed deadlines         {}\n  \
          instructions             {}, {:.1} % of the time\n  \
-         data ready to handler    {:.2} to {:.2} us\n  \
+         data ready to handler    {:.2} to {:.2} us; jitter of the time stamp {:.1} us\n  \
          data ready to motors     mean {:.1} us, most {:.1} us; instructions mean {:.0}, most {}\n  \
          gaps                     {}",
         wiring.title,
         firmware.name(),
         firmware.sha256(),
-        flown.escs.iter().map(|esc| esc.commands).sum::<u64>(),
+        flown.escs.iter().map(|esc| esc.commands_ns.len()).sum::<usize>(),
         flown.escs.iter().map(|esc| esc.garbled).sum::<u64>(),
         flown.resets.len(),
         flown.missed_deadlines,
@@ -191,6 +196,7 @@ fn describe(
         flown.instructions as f64 / (flown.outcome.flown_s() * INSTRUCTIONS_PER_SECOND as f64) * 100.0,
         timing.entry_ns.least as f64 * 1e-3,
         timing.entry_ns.most as f64 * 1e-3,
+        timing.stamp_jitter_ns() as f64 * 1e-3,
         timing.latency_ns.mean() * 1e-3,
         timing.latency_ns.most as f64 * 1e-3,
         timing.latency_instructions.mean(),
@@ -201,14 +207,16 @@ fn describe(
     for gap in &flown.gaps {
         write!(text, "\n    {gap}").expect(TAKES_ALL);
     }
-    for ((name, _), (runs, entries)) in HANDLERS.iter().zip(timing.runs.iter().zip(timing.entries)) {
-        let share = runs.mean() * entries as f64 / flown.outcome.flown_s() / INSTRUCTIONS_PER_SECOND as f64;
+    for (handler, runs) in HANDLERS.iter().zip(&timing.runs) {
+        let name = format!("{}: {}", handler.vector, handler.task);
         write!(
             text,
-            "\n  {name:<24} {entries} runs, instructions mean {:.0}, most {}, {:.2} % of the time",
+            "\n  priority {} {name:<28} {} runs, instructions mean {:.0}, most {}, {:.2} % of the time",
+            handler.priority,
+            runs.count(),
             runs.mean(),
             runs.most,
-            share * 100.0
+            share(runs, flown) * 100.0
         )
         .expect(TAKES_ALL);
     }
@@ -249,9 +257,11 @@ fn to_json(
         "latency_instructions_mean": timing.latency_instructions.mean(),
         "latency_instructions_max": timing.latency_instructions.most,
         "latency_us_max": timing.latency_ns.most as f64 * 1e-3,
-        "handlers": HANDLERS.iter().zip(timing.runs.iter().zip(timing.entries)).map(|((name, _), (runs, entries))| json!({
-            "name": name, "runs": entries, "instructions_mean": runs.mean(), "instructions_max": runs.most,
+        "handlers": HANDLERS.iter().zip(&timing.runs).map(|(handler, runs)| json!({
+            "vector": handler.vector, "task": handler.task, "priority": handler.priority, "runs": runs.count(),
+            "instructions_mean": runs.mean(), "instructions_max": runs.most, "share": share(runs, flown),
         })).collect::<Vec<_>>(),
+        "stamp_jitter_us": timing.stamp_jitter_ns() as f64 * 1e-3,
         "entry_us_min": timing.entry_ns.least as f64 * 1e-3,
         "entry_us_max": timing.entry_ns.most as f64 * 1e-3,
     });

@@ -30,35 +30,54 @@ impl Spread {
     }
 }
 
-/// Handlers whose runs are counted: what they are called, and their exception numbers.
-pub const HANDLERS: [(&str, u16); 7] = [
-    ("EXTI4", 16 + 10),
-    ("USART2", 16 + 38),
-    ("TIM5", 16 + 50),
-    ("DMA2_STREAM0", 16 + 56),
-    ("SysTick", 15),
-    ("DCMI", 16 + 78),
-    ("CRYP", 16 + 79),
+/// An interrupt handler of the firmware.
+#[derive(Clone, Copy, Debug)]
+pub struct Handler {
+    /// The vector's name.
+    pub vector: &'static str,
+    /// What the firmware does in it: the task, or the tasks of this priority (`firmware/src/main.rs`).
+    pub task: &'static str,
+    /// Number of the exception; interrupts begin at 16.
+    pub exception: u16,
+    /// RTIC's: the higher, the more urgent.
+    pub priority: u8,
+}
+
+/// All handlers that run in flight.
+pub const HANDLERS: [Handler; 8] = [
+    Handler { vector: "EXTI4", task: "data ready", exception: 16 + 10, priority: 6 },
+    Handler { vector: "USART2", task: "receive", exception: 16 + 38, priority: 6 },
+    Handler { vector: "TIM5", task: "overdue", exception: 16 + 50, priority: 6 },
+    Handler { vector: "DMA2_STREAM0", task: "flight", exception: 16 + 56, priority: 5 },
+    Handler { vector: "SysTick", task: "tick", exception: 15, priority: 4 },
+    Handler { vector: "HASH_RNG", task: "supply", exception: 16 + 80, priority: 3 },
+    Handler { vector: "DCMI", task: "imu, health, announce", exception: 16 + 78, priority: 2 },
+    Handler { vector: "CRYP", task: "compass", exception: 16 + 79, priority: 1 },
 ];
 
+/// Place of the data-ready interrupt in [`HANDLERS`].
+const DATA_READY: usize = 0;
+
 /// What a flight shows of the firmware's timing.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Debug, Default)]
 pub struct Timing {
     /// Instructions up to the present stop.
     pub instructions_now: u64,
-    /// From INT1 to the handler's first instruction, ns: the jitter of the time stamp.
+    /// From INT1 to the handler's first instruction, ns.
     pub entry_ns: Spread,
     /// From INT1 to the last access to a motor timer or its DMA, ns.
     pub latency_ns: Spread,
     /// Instructions in that time, of all priorities.
     pub latency_instructions: Spread,
-    /// How often each of [`HANDLERS`] was entered.
-    pub entries: [u64; HANDLERS.len()],
-    /// Instructions of a run of each, those of the way to sleep included: of the runs that the core began asleep and
-    /// ended asleep, with no other handler between.
+    /// Instructions of a run of each of [`HANDLERS`], without those of the handlers that interrupted it.
     pub runs: [Spread; HANDLERS.len()],
-    /// The first handler since the core slept, the count at its entry, and whether another one came.
-    busy: Option<(usize, u64, bool)>,
+    /// The firmware's time stamp less the instant of INT1, ns, least and most: two clocks, so that only the difference
+    /// of the two says something.
+    stamp_ns: Option<(i64, i64)>,
+    /// Handlers that have begun and not ended, and the instructions that each has executed.
+    running: Vec<(usize, u64)>,
+    /// Up to here the instructions are assigned.
+    assigned: u64,
     ready: Option<(u64, u64)>,
     entered: bool,
     last_motor: Option<(u64, u64)>,
@@ -78,12 +97,17 @@ impl Timing {
 
     /// A handler of [`HANDLERS`] is entered.
     pub fn entered(&mut self, handler: usize, now_ns: u64, instructions: u64) {
-        self.entries[handler] += 1;
-        self.busy = match self.busy {
-            None => Some((handler, instructions, false)),
-            Some((first, since, _)) => Some((first, since, true)),
-        };
-        if handler == 0
+        self.assign(instructions);
+        // What this one does not interrupt has ended, by a way out that is not watched.
+        while self
+            .running
+            .last()
+            .is_some_and(|(below, _)| HANDLERS[*below].priority >= HANDLERS[handler].priority)
+        {
+            self.end();
+        }
+        self.running.push((handler, 0));
+        if handler == DATA_READY
             && !self.entered
             && let Some((ready_ns, _)) = self.ready
         {
@@ -92,12 +116,48 @@ impl Timing {
         }
     }
 
+    /// A handler is about to return.
+    pub fn returns(&mut self, handler: usize, instructions: u64) {
+        // The return itself is executed after this.
+        self.assign(instructions + 1);
+        if self.running.last().is_some_and(|(running, _)| *running == handler) {
+            self.end();
+        }
+    }
+
     /// The core is about to sleep.
     pub fn sleeps(&mut self, instructions: u64) {
-        if let Some((handler, since, false)) = self.busy {
-            self.runs[handler].add(instructions - since);
+        self.assign(instructions);
+        while !self.running.is_empty() {
+            self.end();
         }
-        self.busy = None;
+    }
+
+    fn assign(&mut self, instructions: u64) {
+        if let Some((_, own)) = self.running.last_mut() {
+            *own += instructions.saturating_sub(self.assigned);
+        }
+        self.assigned = instructions;
+    }
+
+    fn end(&mut self) {
+        if let Some((handler, own)) = self.running.pop() {
+            self.runs[handler].add(own);
+        }
+    }
+
+    /// The firmware has recorded a step, of the sample that it stamped so.
+    pub fn stamped(&mut self, time_us: u64) {
+        if let (true, Some((ready_ns, _))) = (self.entered, self.ready) {
+            let since_ns = 1_000 * time_us as i64 - ready_ns as i64;
+            let (least, most) = self.stamp_ns.unwrap_or((since_ns, since_ns));
+            self.stamp_ns = Some((least.min(since_ns), most.max(since_ns)));
+        }
+    }
+
+    /// Jitter of the time stamp: its latest less its earliest, ns, in a microsecond's steps.
+    pub fn stamp_jitter_ns(&self) -> i64 {
+        self.stamp_ns.map_or(0, |(least, most)| most - least)
     }
 
     /// The firmware has accessed a timer of the motors.

@@ -6,8 +6,9 @@
 //! ([`crate::sampling`]).
 //!
 //! The stop is on every pad 0.1 to 3.6 ms later, by protocol (`firmware/src/stm32f405/esc.rs` has the arithmetic), and
-//! goes on. Nobody feeds the watchdog then, and within two seconds the board starts anew, with its outputs stopped and
-//! its arm state saying so.
+//! goes on. Nobody feeds the watchdog then: 0.68 to 1.88 s after its last feed, by its own clock, the board starts anew,
+//! with its outputs stopped and its arm state saying so. A fault before the watchdog's start, which is `init`'s second
+//! action, is not covered: nothing drives the pads then.
 
 use core::arch::naked_asm;
 

@@ -173,6 +173,20 @@ fn watchdog_resets(flown: &Flown, pads_limit_s: f64) {
     assert!(flown.log.iter().any(|line| line.contains("reset by watchdog")), "{story}");
     assert!(flown.log.iter().any(|line| line.contains("Disarmed -> Terminated: watchdog reset")), "{story}");
     pads_stop(flown, pads_limit_s);
+    commands_go_on(flown, *reset_s);
+}
+
+/// Until the reset commands keep coming, so that no ESC is left to its own time-out: at most 3 ms apart (2.5 ms is PWM's
+/// period, 1.7 ms the longest pause of the stop with the others), and at the beginning what a stop takes, 5 ms.
+#[track_caller]
+fn commands_go_on(flown: &Flown, reset_s: f64) {
+    for esc in &flown.escs {
+        let at_s = esc.commands_ns.iter().map(|at_ns| *at_ns as f64 * 1e-9);
+        let before: Vec<f64> = at_s.filter(|at_s| (AT_S - 0.01..reset_s).contains(at_s)).collect();
+        let widest_s = before.windows(2).map(|pair| pair[1] - pair[0]).fold(0.0, f64::max);
+        let last_s = before.last().copied().unwrap_or(0.0);
+        assert!(widest_s <= 0.005 && reset_s - last_s <= 0.003, "{widest_s} s, {last_s} s: {}", story(flown));
+    }
 }
 
 /// A task's first instruction is an endless loop, until `mended_s` later.

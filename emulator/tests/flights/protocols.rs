@@ -15,7 +15,7 @@ fn flies_with(name: &str, protocol: Protocol, rate_hz: f64) {
     let seconds = flown.outcome.flown_s();
     for esc in &flown.escs {
         assert_eq!(esc.last().unwrap().protocol, protocol);
-        let rate = esc.commands as f64 / seconds;
+        let rate = esc.commands_ns.len() as f64 / seconds;
         assert!((rate / rate_hz - 1.0).abs() < 0.02, "{rate} commands a second");
     }
 }
