@@ -2,9 +2,11 @@
 
 use std::path::Path;
 
+use emulator::board::INSTRUCTIONS_PER_SECOND;
 use emulator::firmware::Firmware;
 use emulator::pads::Line;
 use emulator::radio::Protocol;
+use emulator::timing::HANDLERS;
 use flight_core::ArmState;
 
 use super::{assert_healthy, firmware, fly, hover, scene, settings, story};
@@ -58,6 +60,47 @@ fn samples_are_stamped_and_answered_in_time() {
     for pair in armed.windows(2) {
         assert!((997..=1_003).contains(&(pair[1] - pair[0])), "{pair:?}");
     }
+}
+
+/// The tables of docs/timing.md, of the flash image: means within 3 %, the most within 10 %.
+#[test]
+fn the_page_on_timing_has_this_images_figures() {
+    let page = include_str!("../../../docs/timing.md");
+    let row = |first: &str| -> Vec<&str> {
+        let row = page
+            .lines()
+            .find(|line| line.starts_with(&format!("| {first}")) && line.matches('|').count() >= 5);
+        row.unwrap_or_else(|| panic!("no row {first}")).split('|').map(str::trim).collect()
+    };
+    let number = |cell: &str| -> f64 { cell.replace([',', '%'], "").trim().parse().unwrap() };
+    let near = |what: &str, page: f64, measured: f64, share: f64, and: f64| {
+        assert!(
+            (page - measured).abs() <= share * measured + and,
+            "{what}: {page} on the page, {measured} measured"
+        );
+    };
+    let flown = fly(&scene("hover", None), &[]);
+    assert_healthy(&flown);
+    let timing = &flown.timing;
+    for (handler, runs) in HANDLERS.iter().zip(&timing.runs) {
+        let row = row(&format!("{} | {} | {} |", handler.vector, handler.task, handler.priority));
+        near(handler.vector, number(row[4]), runs.count() as f64, 0.01, 1.0);
+        near(handler.vector, number(row[5]), runs.mean(), 0.03, 0.5);
+        near(handler.vector, number(row[6]), runs.most as f64, 0.1, 0.0);
+        let share =
+            runs.mean() * runs.count() as f64 / (flown.outcome.flown_s() * INSTRUCTIONS_PER_SECOND as f64);
+        near(handler.vector, number(row[7]), 100.0 * share, 0.05, 0.005);
+    }
+    let entry = row("to the handler's first instruction");
+    near("entry", number(entry[2]), timing.entry_ns.least as f64 * 1e-3, 0.0, 0.01);
+    near("entry", number(entry[4]), timing.entry_ns.most as f64 * 1e-3, 0.1, 0.01);
+    let latency = row("to the last write to a motor's timer");
+    near("latency", number(latency[3]), timing.latency_instructions.mean(), 0.03, 0.0);
+    near("latency", number(latency[4]), timing.latency_instructions.most as f64, 0.1, 0.0);
+    let latency = row("the same, µs");
+    near("latency, µs", number(latency[3]), timing.latency_ns.mean() * 1e-3, 0.03, 0.0);
+    near("latency, µs", number(latency[4]), timing.latency_ns.most as f64 * 1e-3, 0.1, 0.0);
+    assert!(timing.stamp_jitter_ns() <= 1_000, "{} ns", timing.stamp_jitter_ns());
 }
 
 #[test]
