@@ -16,6 +16,7 @@ use std::path::Path;
 use flight_core::record::{self, StepRecord};
 use flight_core::sample::{Input, RcFrame};
 use flight_core::{ArmState, Config};
+use rigless::device::ResetCause;
 use rigless::emulator::{self, AccessKind, Driver, HitKind, Host, Settled, Start, Stop, Watch};
 use rigless::image::Image;
 use rigless::session::Session;
@@ -168,8 +169,7 @@ pub fn fly(
     let (session, pilot) = (finished.session, finished.driver);
     let stop = finished.stop;
     let resets = session.resets();
-    let resets =
-        resets.iter().map(|reset| (reset.at.0 as f64 * 1e-9, format!("{:?}", reset.cause))).collect();
+    let resets = resets.iter().map(|reset| (reset.at.0 as f64 * 1e-9, cause(reset.cause))).collect();
     let Pilot { world, observer, flown, crash, crashed_at, done, .. } = pilot;
     let broken_off = (!done).then(|| "the emulator stopped by itself".to_owned());
     let steps = if crash.is_some() { crashed_at } else { flown };
@@ -192,6 +192,16 @@ pub fn fly(
         broken_off,
     };
     Ok((flight, observer))
+}
+
+/// Why the microcontroller was reset, for people.
+fn cause(cause: ResetCause) -> String {
+    match cause {
+        ResetCause::Core => "by the program".into(),
+        ResetCause::Model(peripheral) => format!("by {peripheral}"),
+        ResetCause::Pin => "by the reset pin".into(),
+        ResetCause::PowerOn => "power on".into(),
+    }
 }
 
 /// The configuration sector with this configuration in it.

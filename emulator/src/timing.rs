@@ -74,6 +74,7 @@ pub struct Timing {
     /// The firmware's time stamp less the instant of INT1, ns, least and most: two clocks, so that only the difference
     /// of the two says something.
     stamp_ns: Option<(i64, i64)>,
+    last_stamp_us: u64,
     /// Handlers that have begun and not ended, and the instructions that each has executed.
     running: Vec<(usize, u64)>,
     /// Up to here the instructions are assigned.
@@ -150,7 +151,10 @@ impl Timing {
     pub fn stamped(&mut self, time_us: u64) {
         if let (true, Some((ready_ns, _))) = (self.entered, self.ready) {
             let since_ns = 1_000 * time_us as i64 - ready_ns as i64;
-            let (least, most) = self.stamp_ns.unwrap_or((since_ns, since_ns));
+            // After a reset the firmware's clock begins anew.
+            let since_start = self.stamp_ns.filter(|_| time_us >= self.last_stamp_us);
+            self.last_stamp_us = time_us;
+            let (least, most) = since_start.unwrap_or((since_ns, since_ns));
             self.stamp_ns = Some((least.min(since_ns), most.max(since_ns)));
         }
     }
