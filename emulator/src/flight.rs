@@ -201,6 +201,7 @@ fn cause(cause: ResetCause) -> String {
         ResetCause::Model(peripheral) => format!("by {peripheral}"),
         ResetCause::Pin => "by the reset pin".into(),
         ResetCause::PowerOn => "power on".into(),
+        other => format!("{other:?}"),
     }
 }
 
