@@ -1,5 +1,7 @@
 //! The firmware's log, fetched from the memory of the emulated chip as a debug probe fetches it from a real one.
 
+use std::io::Write as _;
+
 use std::io;
 
 use firmware_log::{Decoder, Memory, RttError, drain, rtt_control_block};
@@ -43,7 +45,8 @@ impl Log {
         for line in self.decoder.push(&bytes) {
             let line = line.to_string();
             if self.print {
-                eprintln!("{line}");
+                // A reader that has gone away is no reason to end the flight.
+                let _ = writeln!(std::io::stderr(), "{line}");
             }
             self.lines.push(line);
         }

@@ -7,7 +7,7 @@ use emulator::flight::Flown;
 use flight_core::ArmState::{self, Descent, Disarmed, Terminated};
 use flight_core::arming::Cause;
 
-use super::{after_arming, assert_sound, fly, fly_twice, hover, story};
+use super::{after_arming, assert_sound, fly_twice, hover, story};
 
 /// In the middle of the hover.
 const AT_S: f64 = 9.0;
