@@ -273,6 +273,7 @@ fn physical<'a>(file: &object::File<'a>, segment: &object::Segment<'a, '_>) -> u
     segment.address()
 }
 
+/// The path is the file of the error, not its value: values are cut when they are long.
 fn refused(path: &Path, why: String) -> InputError {
-    InputError::new(why).field("--image").value(path.display())
+    InputError::new(why).file(path)
 }

@@ -25,7 +25,7 @@ impl Log {
     /// # Errors
     /// The image has none.
     pub fn new(firmware: &Firmware, print: bool) -> Result<Self, InputError> {
-        let refused = |why: String| InputError::new(why).field("--image").value(firmware.name());
+        let refused = |why: String| InputError::new(why).file(firmware.name());
         let decoder = Decoder::new(firmware.elf()).map_err(|error| refused(error.to_string()))?;
         let control_block = rtt_control_block(firmware.elf()).ok_or_else(|| refused("has no log".into()))?;
         Ok(Self { decoder, control_block, lines: Vec::new(), print })
