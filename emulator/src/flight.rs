@@ -402,10 +402,11 @@ impl Driver<FlightBoard> for Pilot {
             Settled::Hit(hit) if self.sleeps.contains(&hit.address) => {
                 self.timing.sleeps(hit.instruction_count);
             }
-            Settled::Hit(hit) if self.returns.contains_key(&hit.address) => {
-                self.timing.returns(self.returns[&hit.address], hit.instruction_count);
-            }
             Settled::Hit(hit) => {
+                if let Some(&handler) = self.returns.get(&hit.address) {
+                    self.timing.returns(handler, hit.instruction_count);
+                    return;
+                }
                 if let Some(handler) = self.handlers.iter().position(|entry| *entry == hit.address) {
                     self.timing.entered(handler, hit.at.0, hit.instruction_count);
                 }

@@ -1,8 +1,6 @@
 //! The firmware's log, fetched from the memory of the emulated chip as a debug probe fetches it from a real one.
 
-use std::io::Write as _;
-
-use std::io;
+use std::io::{self, Write as _};
 
 use firmware_log::{Decoder, Memory, RttError, drain, rtt_control_block};
 use rigless::emulator::Host;
@@ -46,7 +44,7 @@ impl Log {
             let line = line.to_string();
             if self.print {
                 // A reader that has gone away is no reason to end the flight.
-                let _ = writeln!(std::io::stderr(), "{line}");
+                let _ = writeln!(io::stderr(), "{line}");
             }
             self.lines.push(line);
         }

@@ -13,7 +13,7 @@ use emulator::board::{BOARDS, INSTRUCTIONS_PER_SECOND, Wiring};
 use emulator::firmware::Firmware;
 use emulator::flight::{self, Flown, Settings};
 use emulator::radio::Protocol;
-use emulator::timing::{HANDLERS, Spread};
+use emulator::timing::HANDLERS;
 use serde_json::{Value, json};
 use sim_host::flight::{FlightLog, summary};
 use sim_host::input_error::InputError;
@@ -153,11 +153,6 @@ fn verdict(flown: &Flown, complaints: &[String]) -> String {
     if complaints.is_empty() { verdict } else { format!("{verdict}, BUT {}", complaints.join("; ")) }
 }
 
-/// Share of the flight's time that a handler's runs take.
-fn share(runs: &Spread, flown: &Flown) -> f64 {
-    runs.mean() * runs.count() as f64 / (flown.outcome.flown_s() * INSTRUCTIONS_PER_SECOND as f64)
-}
-
 /// A `String` never refuses to be written to.
 const TAKES_ALL: &str = "a String takes everything";
 
@@ -216,7 +211,7 @@ fn describe(
             runs.count(),
             runs.mean(),
             runs.most,
-            share(runs, flown) * 100.0
+            runs.share_of_time(flown.outcome.flown_s()) * 100.0
         )
         .expect(TAKES_ALL);
     }
@@ -259,7 +254,7 @@ fn to_json(
         "latency_us_max": timing.latency_ns.most as f64 * 1e-3,
         "handlers": HANDLERS.iter().zip(&timing.runs).map(|(handler, runs)| json!({
             "vector": handler.vector, "task": handler.task, "priority": handler.priority, "runs": runs.count(),
-            "instructions_mean": runs.mean(), "instructions_max": runs.most, "share": share(runs, flown),
+            "instructions_mean": runs.mean(), "instructions_max": runs.most, "share": runs.share_of_time(flown.outcome.flown_s()),
         })).collect::<Vec<_>>(),
         "stamp_jitter_us": timing.stamp_jitter_ns() as f64 * 1e-3,
         "entry_us_min": timing.entry_ns.least as f64 * 1e-3,

@@ -1,5 +1,7 @@
 //! Times and instruction counts of the fast loop, as seen from outside.
 
+use crate::board::INSTRUCTIONS_PER_SECOND;
+
 /// Smallest, mean and largest of something.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Spread {
@@ -22,6 +24,11 @@ impl Spread {
     /// Mean; zero of nothing.
     pub fn mean(&self) -> f64 {
         if self.count == 0 { 0.0 } else { self.sum as f64 / self.count as f64 }
+    }
+
+    /// Share of `seconds` that it takes, if it is of instructions.
+    pub fn share_of_time(&self, seconds: f64) -> f64 {
+        self.sum as f64 / (seconds * INSTRUCTIONS_PER_SECOND as f64)
     }
 
     /// How many.

@@ -6,9 +6,9 @@
 //! ([`crate::sampling`]).
 //!
 //! The stop is on every pad 0.1 to 3.6 ms later, by protocol (`firmware/src/stm32f405/esc.rs` has the arithmetic), and
-//! goes on. Nobody feeds the watchdog then: 0.68 to 1.88 s after its last feed, by its own clock, the board starts anew,
-//! with its outputs stopped and its arm state saying so. A fault before the watchdog's start, which is `init`'s second
-//! action, is not covered: nothing drives the pads then.
+//! goes on. From then on nothing feeds the watchdog, which resets the board 0.68 to 1.88 s after its last feed (its clock
+//! is that inaccurate). The board starts again with its outputs stopped, and its arm state says why. A fault before
+//! `init` has started the watchdog ends in no reset; at that time nothing drives the motor pads.
 
 use core::arch::naked_asm;
 

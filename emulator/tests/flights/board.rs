@@ -2,7 +2,6 @@
 
 use std::path::Path;
 
-use emulator::board::INSTRUCTIONS_PER_SECOND;
 use emulator::firmware::Firmware;
 use emulator::pads::Line;
 use emulator::radio::Protocol;
@@ -87,8 +86,7 @@ fn the_page_on_timing_has_this_images_figures() {
         near(handler.vector, number(row[4]), runs.count() as f64, 0.01, 1.0);
         near(handler.vector, number(row[5]), runs.mean(), 0.03, 0.5);
         near(handler.vector, number(row[6]), runs.most as f64, 0.1, 0.0);
-        let share =
-            runs.mean() * runs.count() as f64 / (flown.outcome.flown_s() * INSTRUCTIONS_PER_SECOND as f64);
+        let share = runs.share_of_time(flown.outcome.flown_s());
         near(handler.vector, number(row[7]), 100.0 * share, 0.05, 0.005);
     }
     let entry = row("to the handler's first instruction");

@@ -176,9 +176,9 @@ fn watchdog_resets(flown: &Flown, pads_limit_s: f64) {
     commands_go_on(flown, *reset_s, pads_limit_s.min(0.03));
 }
 
-/// Until the reset commands keep coming, so that no ESC is left to its own time-out: none later than `widest_s` after
-/// another, which the fault's own limit is, and the last less than 3 ms before the reset (2.5 ms is PWM's period, 1.7 ms
-/// the longest pause of the stop with the others).
+/// Until the reset every ESC keeps getting commands, so that none is left to its own time-out. They are at most
+/// `widest_s` apart, and the last comes less than 3 ms before the reset (PWM's period is 2.5 ms, the longest pause
+/// between two stops of the other protocols 1.7 ms).
 #[track_caller]
 fn commands_go_on(flown: &Flown, reset_s: f64, widest_s: f64) {
     for esc in &flown.escs {

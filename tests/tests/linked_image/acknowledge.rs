@@ -31,7 +31,7 @@ pub enum Source {
     },
     /// Nothing: and why nothing need.
     ByItself(&'static str),
-    /// Nothing: the handler never returns, whatever it does.
+    /// Nothing, because the handler does not return; that is checked.
     NeverReturns(&'static str),
 }
 
