@@ -14,6 +14,8 @@ use rigless::soc::stm32f427::peripherals::gpio::Pin;
 use rigless::soc::stm32f427::peripherals::spi::Select;
 use rigless::soc::{Bus, Error};
 use rigless::time::VirtualNanos;
+use sim_host::input_error::InputError;
+use sim_host::scene::Scene;
 
 use crate::chip::exti::PVD_LINE;
 use crate::chip::stm32f405::{PORTS, Stm32f405};
@@ -45,6 +47,16 @@ const fn pin(port: u8, pin: u8) -> Wire {
     Wire { port: (port - b'A') as usize, pin }
 }
 
+const fn connection(
+    wire: Wire,
+    instance: &'static str,
+    signal: &'static str,
+    function: u64,
+    drive: Drive,
+) -> Connection {
+    Connection { wire, instance, signal, function, drive }
+}
+
 /// A motor pad.
 #[derive(Clone, Copy, Debug)]
 pub struct Pad {
@@ -58,6 +70,32 @@ pub struct Pad {
     pub channel: u8,
     /// The rotor whose ESC is plugged there, 0 for the front left, clockwise.
     pub rotor: usize,
+}
+
+/// What else a pin of a peripheral must be.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Drive {
+    /// Driven both ways, or an input.
+    PushPull,
+    /// Driven low only.
+    OpenDrain,
+    /// An input that is high while nobody drives it.
+    PulledUp,
+}
+
+/// A pin of a peripheral.
+#[derive(Clone, Copy, Debug)]
+pub struct Connection {
+    /// The pin.
+    pub wire: Wire,
+    /// The peripheral, as RM0090 calls it.
+    pub instance: &'static str,
+    /// Its signal.
+    pub signal: &'static str,
+    /// Alternate function by which the pin carries it (DS8626, table 9).
+    pub function: u64,
+    /// What else the pin must be.
+    pub drive: Drive,
 }
 
 /// Rows of a signed permutation: what the chip's x, y, z are of the body's forward, right, down.
@@ -76,14 +114,20 @@ pub struct Wiring {
     pub imu_spi: usize,
     /// Its chip select.
     pub imu_select: Wire,
+    /// Largest bit rate that it takes.
+    pub imu_max_hz: u64,
     /// Its INT1.
     pub imu_ready: Wire,
     /// How it lies on the board.
     pub imu_axes: Axes,
     /// I2C of the magnetometer, 0 for I2C1.
     pub compass_i2c: usize,
+    /// Its clock line.
+    pub compass_clock: Wire,
     /// Its data line.
     pub compass_data: Wire,
+    /// Bits a second on its bus.
+    pub compass_hz: u64,
     /// How it lies in the vehicle.
     pub compass_axes: Axes,
     /// Serial port of the receiver, by its place in `rigless`'s list.
@@ -94,8 +138,42 @@ pub struct Wiring {
     pub battery_channel: u8,
     /// Volts of the battery for one at the pin.
     pub battery_ratio: f64,
+    /// The light, lit when low.
+    pub light: Wire,
     /// The motor pads.
     pub pads: [Pad; PADS],
+    /// The other pins.
+    pub connections: &'static [Connection],
+}
+
+/// A count of the chips on the boards: the ICM-42688-P at ±2,000 °/s and ±16 g (DS-000347, tables 1 and 2), rad/s and
+/// m/s²; the QMC5883L at ±8 G (its data sheet, table 2), µT.
+const PER_COUNT: [(&str, f64); 3] = [
+    ("gyroscope", 2_000.0 / 32_768.0 * std::f64::consts::PI / 180.0),
+    ("accelerometer", 16.0 / 32_768.0 * 9.806_65),
+    ("magnetometer", 100.0 / 3_000.0),
+];
+
+impl Wiring {
+    /// Whether the scene's sensors are those of the board.
+    ///
+    /// # Errors
+    /// They count in other units: a board with such chips would have another image.
+    pub fn check(&self, scene: &Scene) -> Result<(), InputError> {
+        let params = &scene.config.params;
+        let counts = [params.gyro, params.accel, params.mag].map(|sensor| f64::from(sensor.per_count));
+        for ((sensor, expected), per_count) in PER_COUNT.into_iter().zip(counts) {
+            if (per_count / expected - 1.0).abs() > 1.0e-3 {
+                let allowed = format!(
+                    "the scene's {sensor} is not that of the {}, which has an ICM-42688-P and a QMC5883L: \
+                     take imu = \"icm-42688-p\"",
+                    self.title
+                );
+                return Err(InputError::new(allowed).file(&scene.name).field("imu"));
+            }
+        }
+        Ok(())
+    }
 }
 
 /// SpeedyBee F405 V4: pins as in Betaflight's `configs/SPEEDYBEEF405V4/config.h` and ArduPilot's
@@ -108,20 +186,32 @@ pub static SPEEDYBEE_F405_V4: Wiring = Wiring {
     crystal_hz: 8_000_000,
     imu_spi: 0,
     imu_select: pin(b'A', 4),
+    imu_max_hz: 24_000_000,
     imu_ready: pin(b'C', 4),
     imu_axes: [(1, 1), (0, 1), (2, -1)],
     compass_i2c: 0,
+    compass_clock: pin(b'B', 8),
     compass_data: pin(b'B', 9),
+    compass_hz: 400_000,
     compass_axes: [(0, 1), (1, 1), (2, 1)],
     radio_usart: 1,
     radio_base: 0x4000_4400,
     battery_channel: 10,
     battery_ratio: 11.0,
+    light: pin(b'C', 13),
     pads: [
         Pad { name: "M1", wire: pin(b'B', 6), timer: 2, channel: 1, rotor: 2 },
         Pad { name: "M2", wire: pin(b'B', 7), timer: 2, channel: 2, rotor: 1 },
         Pad { name: "M3", wire: pin(b'B', 0), timer: 1, channel: 3, rotor: 3 },
         Pad { name: "M4", wire: pin(b'B', 1), timer: 1, channel: 4, rotor: 0 },
+    ],
+    connections: &[
+        connection(pin(b'A', 5), "SPI1", "SCK", 5, Drive::PushPull),
+        connection(pin(b'A', 6), "SPI1", "MISO", 5, Drive::PushPull),
+        connection(pin(b'A', 7), "SPI1", "MOSI", 5, Drive::PushPull),
+        connection(pin(b'A', 3), "USART2", "RX", 7, Drive::PulledUp),
+        connection(pin(b'B', 8), "I2C1", "SCL", 4, Drive::OpenDrain),
+        connection(pin(b'B', 9), "I2C1", "SDA", 4, Drive::OpenDrain),
     ],
 };
 
@@ -164,6 +254,9 @@ pub struct Machine {
     ready: Option<bool>,
     supply_low: bool,
     data_held: bool,
+    /// Clocks after which the sensor lets the data line go.
+    clocks_left: Option<u32>,
+    compass_clock: bool,
     functions: [Option<Level>; PADS],
     /// The ports do not know the functions yet.
     stale: bool,
@@ -200,6 +293,8 @@ impl Machine {
             ready: None,
             supply_low: false,
             data_held: false,
+            clocks_left: None,
+            compass_clock: true,
             functions: [None; PADS],
             stale: false,
             now: VirtualNanos(0),
@@ -219,6 +314,13 @@ impl Machine {
         self.part.i2c[self.wiring.compass_i2c].interface.chip_mut(0).expect("it was attached")
     }
 
+    /// Whether the magnetometer goes on to send ([`Compass::sends_on`]).
+    pub fn compass_sends_on(&self) -> bool {
+        let peer = self.part.i2c[self.wiring.compass_i2c].interface.peer();
+        let compass: Option<&Compass> = peer.and_then(|peer| (peer as &dyn std::any::Any).downcast_ref());
+        compass.is_some_and(Compass::sends_on)
+    }
+
     /// The receiver.
     pub fn radio(&mut self) -> &mut Radio {
         self.part.usart[self.wiring.radio_usart].chip_mut().expect("it was attached")
@@ -234,6 +336,44 @@ impl Machine {
     /// Something holds the I2C data line low, or lets it go.
     pub fn hold_compass_bus(&mut self, held: bool) {
         self.part.i2c[self.wiring.compass_i2c].held_low = held;
+        self.clocks_left = None;
+    }
+
+    /// The magnetometer was cut off in the middle of a byte: it holds the data line low until it has got so many clocks.
+    pub fn hold_compass_bus_for(&mut self, clocks: u32) {
+        self.hold_compass_bus(true);
+        self.clocks_left = Some(clocks);
+    }
+
+    /// Whether nobody holds the magnetometer's data line.
+    pub fn compass_bus_is_free(&self) -> bool {
+        !self.part.i2c[self.wiring.compass_i2c].held_low
+    }
+
+    /// Follows the magnetometer's clock line where the firmware moves it by the pin itself.
+    fn follow_compass_clock(&mut self) {
+        use rigless::soc::stm32f427::generated::gpioa::Register;
+        let wire = self.wiring.compass_clock;
+        let (_, registers) = self.part.port(wire.port);
+        let driven = registers.get(Register::Moder) >> (2 * wire.pin) & 3 == 1;
+        let high = !driven || registers.get(Register::Odr) >> wire.pin & 1 == 1;
+        let was = std::mem::replace(&mut self.compass_clock, high);
+        let rose = high && !was;
+        let Some(clocks) = self.clocks_left.filter(|_| rose) else { return };
+        self.clocks_left = clocks.checked_sub(1).filter(|left| *left > 0);
+        if self.clocks_left.is_none() {
+            self.hold_compass_bus(false);
+            self.compass().finish();
+        }
+    }
+
+    /// Whether the light is lit; nobody drives it before the firmware does.
+    pub fn lit(&self) -> bool {
+        use rigless::soc::stm32f427::generated::gpioa::Register;
+        let wire = self.wiring.light;
+        let (_, registers) = self.part.port(wire.port);
+        let output = registers.get(Register::Moder) >> (2 * wire.pin) & 3 == 1;
+        output && registers.get(Register::Odr) >> wire.pin & 1 == 0
     }
 
     /// The supply of the microcontroller, mV.
@@ -264,6 +404,7 @@ impl Machine {
 
     /// Follows the pads at `now`.
     pub fn follow_pads(&mut self, now: VirtualNanos) {
+        self.follow_compass_clock();
         for (n, pad) in self.wiring.pads.iter().enumerate() {
             let pin = pin_of(pad.wire);
             let (timer, registers) = self.part.timer(pad.timer);
@@ -336,6 +477,7 @@ impl Mcu for Machine {
         self.data_held = false;
         self.functions = [None; PADS];
         self.stale = false;
+        self.compass().finish();
         self.follow_pads(at);
     }
 

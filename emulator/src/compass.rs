@@ -12,6 +12,10 @@ pub struct Compass {
     chip: Qmc5883l,
     /// Off its connector: nothing is acknowledged.
     pub absent: bool,
+    reading: bool,
+    last: bool,
+    /// A transfer was ended although its last byte was acknowledged: the chip goes on to send.
+    sends_on: bool,
 }
 
 store!(Compass);
@@ -25,7 +29,18 @@ impl Default for Compass {
 impl Compass {
     /// A sensor whose supply has just come up.
     pub fn new() -> Self {
-        Self { chip: Qmc5883l::new(), absent: false }
+        Self { chip: Qmc5883l::new(), absent: false, reading: false, last: false, sends_on: false }
+    }
+
+    /// Whether it goes on to send, because the last byte of a transfer was acknowledged.
+    pub fn sends_on(&self) -> bool {
+        self.sends_on
+    }
+
+    /// It has got the clocks to finish what it was sending.
+    pub fn finish(&mut self) {
+        self.reading = false;
+        self.sends_on = false;
     }
 
     /// What the sensor measures from now on, counts of ±8 G along its own axes.
@@ -41,7 +56,9 @@ impl Compass {
 
 impl Peer for Compass {
     fn start(&mut self, address: u8, read: bool, context: &mut Timeline<'_, '_>) -> bool {
-        !self.absent && self.chip.start(address, read, context)
+        let answers = !self.absent && self.chip.start(address, read, context);
+        (self.reading, self.last, self.sends_on) = (answers && read, false, false);
+        answers
     }
 
     fn write(&mut self, byte: u8, context: &mut Timeline<'_, '_>) -> bool {
@@ -49,10 +66,13 @@ impl Peer for Compass {
     }
 
     fn read(&mut self, last: bool, context: &mut Timeline<'_, '_>) -> u8 {
+        self.last = last;
         if self.absent { 0xff } else { self.chip.read(last, context) }
     }
 
     fn stop(&mut self, context: &mut Timeline<'_, '_>) {
+        self.sends_on = self.reading && !self.last;
+        self.reading = false;
         self.chip.stop(context);
     }
 

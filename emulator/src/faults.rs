@@ -23,6 +23,15 @@ pub enum Fault {
     CompassAbsent(bool),
     /// Something holds the magnetometer's data line low.
     CompassBusHeld(bool),
+    /// It was cut off in the middle of a byte, and holds its data line low until it has got so many clocks.
+    CompassCutOff(u32),
+    /// The memory address of this stream of DMA2, which moves the inertial sensor's bytes, is one where nothing is, or is
+    /// the right one again.
+    StreamAstray(usize, bool),
+    /// The microcontroller's reset pin is pulled.
+    ResetPin,
+    /// At its next entry each handler finds all other interrupts raised.
+    AllInterrupts,
     /// The receiver says nothing.
     RadioSilent(bool),
     /// Bytes at random come out of the receiver, for so many milliseconds.
@@ -37,6 +46,8 @@ pub enum Fault {
     Hang(&'static str),
     /// The instruction at a function's beginning becomes an undefined one.
     Undefined(&'static str),
+    /// A function's beginning becomes a loop that reads one address after another, from where no chip has anything.
+    Strays(&'static str),
     /// The function is as it was.
     Mended(&'static str),
     /// Bit `1` of every word in RAM that points to the symbol `0` is flipped.
@@ -47,6 +58,9 @@ pub enum Fault {
 const ENDLESS: u64 = 0xe7fe;
 /// `udf #0`.
 const UNDEFINED: u64 = 0xde00;
+
+/// `mov.w r0, #0xf0000000`, and for ever `ldr r1, [r0]`, `adds r0, #4`, back.
+const STRAYING: [u64; 5] = [0xf04f, 0x4070, 0x6801, 0x3004, 0xe7fc];
 
 const RAM: std::ops::Range<u64> = 0x2000_0000..0x2002_0000;
 
@@ -94,6 +108,10 @@ impl Active {
                 machine.compass().absent = absent;
             }
             Fault::CompassBusHeld(held) => machine.hold_compass_bus(held),
+            Fault::CompassCutOff(clocks) => machine.hold_compass_bus_for(clocks),
+            Fault::StreamAstray(stream, astray) => machine.part.lead_stream_astray(stream, astray),
+            // Of the session, which this does not have.
+            Fault::ResetPin | Fault::AllInterrupts => unreachable!("the flight carries it out"),
             Fault::RadioSilent(silent) => self.radio_silent = silent,
             Fault::RadioGarbage(ms) => self.garbage_until_ns = now.0 + u64::from(ms) * 1_000_000,
             Fault::Battery(volts) => {
@@ -109,6 +127,12 @@ impl Active {
             }
             Fault::Hang(function) => self.spoil(function, ENDLESS, host),
             Fault::Undefined(function) => self.spoil(function, UNDEFINED, host),
+            Fault::Strays(function) => {
+                let address = self.find(function).unwrap_or_else(|| panic!("no function {function}"));
+                for (instruction, at) in STRAYING.into_iter().zip((address..).step_by(2)) {
+                    host.program(at, Width::W16, instruction).expect("it is in flash");
+                }
+            }
             Fault::Mended(function) => {
                 for (_, address, was) in self.spoiled.extract_if(.., |(name, ..)| *name == function) {
                     host.program(address, Width::W16, was).expect("it is in flash");

@@ -14,6 +14,11 @@ use sim_host::input_error::InputError;
 /// Where the configuration is stored: sector 1 (memory.x).
 pub const CONFIGURATION: u64 = 0x0800_4000;
 
+/// Largest file that is read, bytes: one with debug information is some MiB.
+const LARGEST: u64 = 256 << 20;
+
+const SRAM: std::ops::Range<u64> = 0x2000_0000..0x2002_0000;
+const CCM: std::ops::Range<u64> = 0x1000_0000..0x1001_0000;
 const FLASH: std::ops::Range<u64> = 0x0800_0000..0x0810_0000;
 const CONFIGURATION_SECTORS: std::ops::Range<u64> = CONFIGURATION..0x0800_c000;
 
@@ -82,8 +87,12 @@ impl Firmware {
     /// # Errors
     /// It can't be read, or is no flight image for the STM32F405.
     pub fn read(path: &Path) -> Result<Self, InputError> {
-        let elf = fs::read(path).map_err(|error| refused(path, format!("cannot be read: {error}")))?;
-        Self::parse(path, elf)
+        let unreadable = |error: std::io::Error| refused(path, format!("cannot be read: {error}"));
+        let found = fs::metadata(path).map_err(unreadable)?;
+        if !found.is_file() || found.len() > LARGEST {
+            return Err(refused(path, format!("must be a file of at most {} MiB", LARGEST >> 20)));
+        }
+        Self::parse(path, fs::read(path).map_err(unreadable)?)
     }
 
     /// An image whose bytes are these.
@@ -92,8 +101,14 @@ impl Firmware {
     /// It is no flight image for the STM32F405.
     pub fn parse(path: &Path, elf: Vec<u8>) -> Result<Self, InputError> {
         let refused = |why: String| refused(path, why);
-        let file =
-            object::File::parse(&*elf).map_err(|error| refused(format!("must be an ELF image: {error}")))?;
+        match &elf[..] {
+            [] => return Err(refused("is empty: must be an ELF image".into())),
+            [0x7f, b'E', b'L', b'F', ..] => {}
+            _ => return Err(refused("must be an ELF image: it does not begin like one".into())),
+        }
+        let file = object::File::parse(&*elf).map_err(|error| {
+            refused(format!("must be an ELF image: it is cut short or damaged ({error})"))
+        })?;
         if file.architecture() != Architecture::Arm {
             return Err(refused(format!(
                 "must be an image for Arm; it is one for {:?}",
@@ -154,9 +169,27 @@ impl Firmware {
             ));
         }
         for symbol in ["FLIGHT_RECORD", "_SEGGER_RTT"] {
-            if self.symbol(symbol).is_none() {
-                return Err(refused(&self.path, format!("must have the symbol {symbol}")));
+            match self.symbol(symbol) {
+                None => return Err(refused(&self.path, format!("must have the symbol {symbol}"))),
+                Some(address) if !SRAM.contains(&address) => {
+                    return Err(refused(
+                        &self.path,
+                        format!("has {symbol} at {address:#010x}: must be in the SRAM"),
+                    ));
+                }
+                Some(_) => {}
             }
+        }
+        // The initial stack pointer may be the first address behind a memory; a handler is Thumb code in flash.
+        let [stack, reset] = [0, 1].map(|n| self.vectors.get(n).copied().map_or(0, u64::from));
+        if ![SRAM, CCM].iter().any(|memory| memory.contains(&(stack.wrapping_sub(4)))) {
+            return Err(refused(
+                &self.path,
+                format!("starts with its stack at {stack:#010x}: must be in RAM"),
+            ));
+        }
+        if !FLASH.contains(&reset) || reset & 1 == 0 {
+            return Err(refused(&self.path, format!("starts at {reset:#010x}: must be Thumb code in flash")));
         }
         Ok(())
     }

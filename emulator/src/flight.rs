@@ -17,7 +17,9 @@ use flight_core::record::{self, StepRecord};
 use flight_core::sample::{Input, RcFrame};
 use flight_core::{ArmState, Config};
 use rigless::device::ResetCause;
-use rigless::emulator::{self, AccessKind, Driver, HitKind, Host, Settled, Start, Stop, Watch};
+use rigless::emulator::{
+    self, AccessKind, Driver, HitKind, Host, InterruptLine, Settled, Start, Stop, Watch,
+};
 use rigless::image::Image;
 use rigless::session::Session;
 use rigless::soc::Width;
@@ -33,6 +35,7 @@ use crate::gaps;
 use crate::log::Log;
 use crate::pads::{Esc, Line, PADS};
 use crate::radio::Protocol;
+use crate::rules::Rules;
 use crate::timing::{HANDLERS, Timing};
 use crate::vectors::Vectors;
 
@@ -41,6 +44,9 @@ const STEP_NS: u64 = 1_000_000;
 
 /// How often the firmware's log is fetched, steps: its buffer of 4 KiB takes a second at least.
 const LOG_STEPS: u64 = 100;
+
+/// A program that has accessed so many addresses where nothing is has lost its way: it ends, and so does the list.
+const ASTRAY_ADDRESSES: usize = 1_000;
 
 /// What is to be flown, and how.
 pub struct Settings<'a> {
@@ -64,10 +70,10 @@ pub struct Settings<'a> {
 pub struct Flown {
     /// The flight, judged on the truth.
     pub outcome: Outcome,
-    /// Whether the pilot's arming brought the motors to turn, and the vehicle left the ground.
+    /// Whether the pilot's arming brought the motors to turn.
     pub armed: bool,
-    /// It did; a vehicle on a ball joint can't.
-    pub took_off: bool,
+    /// Whether it left the ground; a vehicle on a ball joint can't.
+    pub took_off: Option<bool>,
     /// Resets after the first start: when (s), and why.
     pub resets: Vec<(f64, String)>,
     /// Deadlines that the firmware's tasks have missed.
@@ -92,6 +98,8 @@ pub struct Flown {
     pub log: Vec<String>,
     /// Times and instruction counts.
     pub timing: Timing,
+    /// When the light changed (s), and whether it was lit from then on.
+    pub light: Vec<(f64, bool)>,
     /// The emulator stopped by itself, and why.
     pub broken_off: Option<String>,
 }
@@ -160,6 +168,10 @@ pub fn fly(
         returns,
         sleeps,
         timing: Timing::default(),
+        light: vec![(0.0, false)],
+        rules: Rules::new(settings.wiring),
+        astray: false,
+        raise_all: [false; _],
         in_ccm: BTreeMap::new(),
         done: false,
     };
@@ -171,16 +183,23 @@ pub fn fly(
     let resets = session.resets();
     let resets = resets.iter().map(|reset| (reset.at.0 as f64 * 1e-9, cause(reset.cause))).collect();
     let Pilot { world, observer, flown, crash, crashed_at, done, .. } = pilot;
-    let broken_off = (!done).then(|| "the emulator stopped by itself".to_owned());
+    let broken_off = match done {
+        _ if pilot.astray => {
+            Some(format!("accesses to more than {ASTRAY_ADDRESSES} addresses where nothing is"))
+        }
+        true if pilot.records.is_empty() => Some("the firmware never ran a step".into()),
+        true => None,
+        false => Some("the emulator stopped by itself".into()),
+    };
     let steps = if crash.is_some() { crashed_at } else { flown };
     let flight = Flown {
         outcome: world.outcome(steps, crash),
         armed: pilot.armed,
-        took_off: pilot.took_off || scene.ball_joint,
+        took_off: (!scene.ball_joint).then_some(pilot.took_off),
         resets,
         missed_deadlines: pilot.missed_deadlines,
         instructions: stop.map_or(0, |stop| stop.instruction_count),
-        gaps: gaps::list(&session, &pilot.in_ccm),
+        gaps: gaps::list(&session, &pilot.in_ccm, &pilot.rules),
         unserved: pilot.vectors.into_complaints(),
         states: pilot.states,
         records: pilot.records,
@@ -189,6 +208,7 @@ pub fn fly(
         escs: pilot.escs,
         log: pilot.log.into_lines(),
         timing: pilot.timing,
+        light: pilot.light,
         broken_off,
     };
     Ok((flight, observer))
@@ -245,6 +265,11 @@ struct Pilot {
     returns: BTreeMap<u64, usize>,
     sleeps: Vec<u64>,
     timing: Timing,
+    light: Vec<(f64, bool)>,
+    rules: Rules,
+    astray: bool,
+    /// Handlers at whose next entry all other interrupts are raised.
+    raise_all: [bool; HANDLERS.len()],
     in_ccm: BTreeMap<(usize, usize), u64>,
     done: bool,
 }
@@ -393,6 +418,7 @@ impl Driver<FlightBoard> for Pilot {
                 }
                 self.vectors.accessed(machine, at);
                 if board::is_dma(at) {
+                    self.rules.dma_accessed(machine, access.virtual_time.0 as f64 * 1e-9);
                     for stream in machine.part.unreachable_by_dma() {
                         self.in_ccm.entry(stream).or_insert(access.program_counter.unwrap_or(0));
                     }
@@ -409,6 +435,12 @@ impl Driver<FlightBoard> for Pilot {
                 }
                 if let Some(handler) = self.handlers.iter().position(|entry| *entry == hit.address) {
                     self.timing.entered(handler, hit.at.0, hit.instruction_count);
+                    if std::mem::take(&mut self.raise_all[handler]) {
+                        let others = HANDLERS.iter().map(|other| other.exception);
+                        let others = others.filter(|other| *other != HANDLERS[handler].exception);
+                        let lines = others.filter_map(|other| InterruptLine::new(other.checked_sub(16)?));
+                        lines.for_each(|line| session.pulse(line, host));
+                    }
                 }
                 self.vectors.entered(&session.board().machine, hit.address, hit.at.0);
             }
@@ -423,14 +455,26 @@ impl Driver<FlightBoard> for Pilot {
         host: &mut dyn Host,
     ) -> Option<VirtualNanos> {
         let now_ns = stop.at.0;
+        if self.flown.is_multiple_of(LOG_STEPS) {
+            self.astray = session.unmapped().len() + session.refused().len() > ASTRAY_ADDRESSES;
+            if self.astray {
+                return None;
+            }
+        }
         self.timing.instructions_now = stop.instruction_count;
         let machine = &mut session.board_mut().machine;
         self.take_edges(machine);
         while self.faults.last().is_some_and(|(at_ns, _)| *at_ns <= now_ns) {
-            if let Some((_, fault)) = self.faults.pop() {
-                self.active.apply(fault, machine, host, stop.at);
+            match self.faults.pop() {
+                Some((_, Fault::AllInterrupts)) => self.raise_all = [true; HANDLERS.len()],
+                Some((_, Fault::ResetPin)) => session.reset_by_pin(stop.at, stop.instruction_count, host),
+                Some((_, fault)) => {
+                    self.active.apply(fault, &mut session.board_mut().machine, host, stop.at);
+                }
+                None => {}
             }
         }
+        let machine = &mut session.board_mut().machine;
         self.active.run(machine, now_ns);
 
         let sampled = machine.imu().take_sampled();
@@ -443,6 +487,10 @@ impl Driver<FlightBoard> for Pilot {
                 self.log.fetch(host);
             }
             self.step(machine, now_ns, sampled);
+            self.rules.look(machine, now_ns as f64 * 1e-9);
+            if self.light.last().is_some_and(|(_, lit)| *lit != machine.lit()) {
+                self.light.push((now_ns as f64 * 1e-9, machine.lit()));
+            }
             if self.done {
                 self.log.fetch(host);
                 return None;

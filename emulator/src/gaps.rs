@@ -5,12 +5,17 @@ use std::collections::BTreeMap;
 use rigless::session::Session;
 
 use crate::board::FlightBoard;
+use crate::rules::Rules;
 
 /// Gaps that are known, each with its reason after a tab: `gaps.txt`.
 const EXPLAINED: &str = include_str!("../gaps.txt");
 
 /// All of them, a line each, without those that are explained.
-pub fn list(session: &Session<FlightBoard>, in_ccm: &BTreeMap<(usize, usize), u64>) -> Vec<String> {
+pub fn list(
+    session: &Session<FlightBoard>,
+    in_ccm: &BTreeMap<(usize, usize), u64>,
+    rules: &Rules,
+) -> Vec<String> {
     let mut gaps = Vec::new();
     for unmapped in session.unmapped() {
         gaps.push(format!("nothing at {:#010x}, from {:#010x}", unmapped.address, unmapped.program_counter));
@@ -39,6 +44,7 @@ pub fn list(session: &Session<FlightBoard>, in_ccm: &BTreeMap<(usize, usize), u6
     for ((controller, stream), from) in in_ccm {
         gaps.push(format!("DMA{controller} stream {stream} reaches for the CCM, from {from:#010x}"));
     }
+    gaps.extend(rules.complaints());
     gaps.retain(|gap| !explained().any(|known| gap.starts_with(known)));
     gaps
 }

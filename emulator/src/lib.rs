@@ -15,7 +15,7 @@
 //! | [`flight`] | the flight: the world on the one side, the board on the other |
 //! | [`faults`] | what goes wrong in a flight |
 //! | [`firmware`] | the image, checked |
-//! | [`vectors`], [`gaps`], [`timing`], [`log`] | what is watched meanwhile |
+//! | [`vectors`], [`rules`], [`gaps`], [`timing`], [`log`] | what is watched meanwhile |
 //!
 //! # What this shows, and what it does not
 //! The registers are modelled after ST's reference manual by people who had no part in this firmware; what the manual
@@ -36,5 +36,6 @@ pub mod log;
 pub mod pads;
 pub mod radio;
 pub mod replay;
+pub mod rules;
 pub mod timing;
 pub mod vectors;

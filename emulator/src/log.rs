@@ -36,18 +36,25 @@ impl Log {
             // Between a reset and the firmware's first line.
             Err(RttError::NotThere) => return,
             Err(error) => {
-                self.lines.push(error.to_string());
+                self.take(error.to_string());
                 return;
             }
         };
         for line in self.decoder.push(&bytes) {
-            let line = line.to_string();
-            if self.print {
-                // A reader that has gone away is no reason to end the flight.
-                let _ = writeln!(io::stderr(), "{line}");
-            }
-            self.lines.push(line);
+            self.take(line.to_string());
         }
+    }
+
+    fn take(&mut self, line: String) {
+        // An error that stands comes back at every look.
+        if self.lines.last() == Some(&line) {
+            return;
+        }
+        if self.print {
+            // A reader that has gone away is no reason to end the flight.
+            let _ = writeln!(io::stderr(), "{line}");
+        }
+        self.lines.push(line);
     }
 
     /// The lines.

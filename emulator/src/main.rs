@@ -4,7 +4,7 @@
 //! standard error. Exit codes: 0 done, 1 the flight failed, 2 bad input or usage.
 
 use std::fmt::Write as _;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Instant;
 
@@ -17,7 +17,9 @@ use emulator::timing::HANDLERS;
 use serde_json::{Value, json};
 use sim_host::flight::{FlightLog, summary};
 use sim_host::input_error::InputError;
+use sim_host::output_file::spare;
 use sim_host::scene::Scene;
+use sim_host::{interrupt, output_file};
 
 /// Exit code of a flight that failed.
 const FAILED: u8 = 1;
@@ -38,7 +40,7 @@ struct Arguments {
     #[arg(long, value_name = "N")]
     seed: Option<u64>,
     /// Length of the flight in seconds, instead of the scene's
-    #[arg(long, value_name = "S")]
+    #[arg(long, value_name = "S", allow_negative_numbers = true)]
     duration: Option<f64>,
     /// The image; without it, the one that `cargo flash-fw` programs is built from the sources
     #[arg(long, value_name = "ELF")]
@@ -62,13 +64,13 @@ struct Arguments {
 
 fn main() -> ExitCode {
     let arguments = Arguments::parse();
-    match run(&arguments) {
-        Ok((text, failed)) => {
-            use std::io::Write as _;
-            // A reader that has gone away (`| head`) is no error.
-            let _ = writeln!(std::io::stdout(), "{}", text.trim_end());
-            if failed { ExitCode::from(FAILED) } else { ExitCode::SUCCESS }
-        }
+    interrupt::listen();
+    let answered = run(&arguments).and_then(|(text, failed)| {
+        output_file::print(text.trim_end())?;
+        Ok(failed)
+    });
+    match answered {
+        Ok(failed) => ExitCode::from(if failed { FAILED } else { 0 }),
         Err(error) => {
             eprintln!("error: {error}");
             ExitCode::from(BAD_INPUT)
@@ -86,7 +88,13 @@ fn run(arguments: &Arguments) -> Result<(String, bool), InputError> {
         scene.set_duration(duration_s).map_err(|error| error.field("--duration"))?;
     }
     if scene.pilot.is_none() {
-        return Err(InputError::new("nobody flies in this scene").file(&scene.name).field("pilot"));
+        let allowed = "is missing: nobody flies in this scene; `sim-host scenes` lists those that are flown";
+        return Err(InputError::new(allowed).file(&scene.name).field("pilot"));
+    }
+    wiring.check(&scene)?;
+    if let Some(log) = &arguments.log {
+        let image = arguments.image.as_deref().unwrap_or(Path::new(""));
+        spare(&[Path::new(&arguments.scene), image], "--log", log)?;
     }
     let log = arguments.log.as_ref().map(|path| FlightLog::create(path, &scene)).transpose()?;
     let firmware = arguments.image.as_deref().map_or_else(Firmware::build, Firmware::read)?;
@@ -130,27 +138,39 @@ fn complaints(flown: &Flown) -> Vec<String> {
     if let Some((crash, at_s)) = flown.outcome.crash {
         complaints.push(format!("crashed at {at_s:.3} s: {}", crash.text()));
     }
-    if !flown.armed {
-        complaints.push("the pilot's arming did not arm it".into());
-    } else if !flown.took_off {
-        complaints.push("it did not take off".into());
+    let refusal = flown.records.iter().rev().filter_map(|record| record.outcome.event);
+    match refusal.into_iter().find(|event| event.is_refusal()) {
+        _ if flown.armed => {}
+        Some(event) => complaints.push(format!("did not arm: {}", event.cause.text())),
+        None => complaints.push("did not arm, and was not asked to".into()),
     }
-    if !flown.resets.is_empty() {
-        complaints.push(format!("{} resets", flown.resets.len()));
+    if flown.armed && flown.took_off == Some(false) {
+        complaints.push("did not take off".into());
     }
-    if flown.missed_deadlines > 0 {
-        complaints.push(format!("{} missed deadlines", flown.missed_deadlines));
-    }
-    if !flown.gaps.is_empty() {
-        complaints.push(format!("{} gaps", flown.gaps.len()));
+    for (count, one) in [
+        (flown.resets.len(), "reset"),
+        (flown.missed_deadlines as usize, "missed deadline"),
+        (flown.gaps.len(), "gap"),
+    ] {
+        match count {
+            0 => {}
+            1 => complaints.push(format!("1 {one}")),
+            _ => complaints.push(format!("{count} {one}s")),
+        }
     }
     complaints.extend(flown.unserved.iter().cloned());
     complaints
 }
 
 fn verdict(flown: &Flown, complaints: &[String]) -> String {
+    if let Some(why) = &flown.broken_off {
+        return format!("BROKEN OFF at {:.3} s: {why}", flown.outcome.flown_s());
+    }
     let verdict = summary::verdict(&flown.outcome);
-    if complaints.is_empty() { verdict } else { format!("{verdict}, BUT {}", complaints.join("; ")) }
+    // A crash is the verdict already.
+    let besides: Vec<&str> =
+        complaints.iter().map(String::as_str).filter(|what| !what.starts_with("crashed at")).collect();
+    if besides.is_empty() { verdict } else { format!("{verdict}, BUT {}", besides.join("; ")) }
 }
 
 /// A `String` never refuses to be written to.
@@ -183,7 +203,7 @@ fn describe(
         wiring.title,
         firmware.name(),
         firmware.sha256(),
-        flown.escs.iter().map(|esc| esc.commands_ns.len()).sum::<usize>(),
+        flown.escs.iter().map(|esc| esc.commands.len()).sum::<usize>(),
         flown.escs.iter().map(|esc| esc.garbled).sum::<u64>(),
         flown.resets.len(),
         flown.missed_deadlines,
@@ -247,7 +267,7 @@ fn to_json(
         "gaps": flown.gaps.len(),
         "gap_list": flown.gaps,
         "unserved_vectors": flown.unserved,
-        "states": flown.states.iter().map(|(at_s, state)| json!({ "at_s": at_s, "state": state.name() })).collect::<Vec<_>>(),
+        "states": flown.states.iter().map(|(at_s, state)| json!({ "at_s": (at_s * 1e3).round() / 1e3, "state": state.name() })).collect::<Vec<_>>(),
         "pads_digest": format!("{:016x}", flown.pads_digest),
         "latency_instructions_mean": timing.latency_instructions.mean(),
         "latency_instructions_max": timing.latency_instructions.most,

@@ -89,8 +89,8 @@ pub struct Esc {
     last: Option<Command>,
     /// When the last command that was no stop was complete, ns.
     pub last_driven_ns: Option<u64>,
-    /// When each command was complete, ns.
-    pub commands_ns: Vec<u64>,
+    /// All commands.
+    pub commands: Vec<Command>,
     /// Pulses and frames that were none.
     pub garbled: u64,
 }
@@ -129,7 +129,7 @@ impl Esc {
         };
         match command {
             Some(command) => {
-                self.commands_ns.push(at_ns);
+                self.commands.push(command);
                 if command.throttle > 0.0 {
                     self.last_driven_ns = Some(at_ns);
                 }

@@ -1,5 +1,7 @@
 //! Times and instruction counts of the fast loop, as seen from outside.
 
+use std::collections::BTreeSet;
+
 use crate::board::INSTRUCTIONS_PER_SECOND;
 
 /// Smallest, mean and largest of something.
@@ -86,6 +88,8 @@ pub struct Timing {
     running: Vec<(usize, u64)>,
     /// Up to here the instructions are assigned.
     assigned: u64,
+    /// Which handler has interrupted which, places in [`HANDLERS`]: the one below, the one on top.
+    pub interrupted: BTreeSet<(usize, usize)>,
     ready: Option<(u64, u64)>,
     entered: bool,
     last_motor: Option<(u64, u64)>,
@@ -106,6 +110,9 @@ impl Timing {
     /// A handler of [`HANDLERS`] is entered.
     pub fn entered(&mut self, handler: usize, now_ns: u64, instructions: u64) {
         self.assign(instructions);
+        if let Some((below, _)) = self.running.last() {
+            self.interrupted.insert((*below, handler));
+        }
         // What this one does not interrupt has ended, by a way out that is not watched.
         while self
             .running

@@ -18,6 +18,7 @@ pub mod flight;
 pub mod hil;
 pub mod image;
 pub mod input_error;
+pub mod interrupt;
 pub mod log;
 pub mod output_file;
 pub mod paper;

@@ -103,6 +103,33 @@ pub fn remove_unfinished() {
     unfinished(|files| files.drain(..).for_each(|path| drop(fs::remove_file(path))));
 }
 
+/// Refuses to put an output in the place of an input: a recording or a scene can't be made again. `option` is the one
+/// that names the output.
+///
+/// # Errors
+/// `out` is one of `inputs`.
+pub fn spare(inputs: &[&Path], option: &str, out: &Path) -> Result<(), InputError> {
+    let Ok(target) = fs::canonicalize(out) else { return Ok(()) };
+    match inputs.iter().any(|input| fs::canonicalize(input).is_ok_and(|input| input == target)) {
+        true => Err(InputError::new("must not be a file that is read").field(option).value(out.display())),
+        false => Ok(()),
+    }
+}
+
+/// Prints a line to standard output. A reader that has gone away (`| head`) is no error.
+///
+/// # Errors
+/// It can't be written, to a full disk for instance.
+pub fn print(line: &str) -> Result<(), InputError> {
+    let mut stdout = io::stdout();
+    match writeln!(stdout, "{line}").and_then(|()| stdout.flush()) {
+        Err(error) if error.kind() != io::ErrorKind::BrokenPipe => {
+            Err(cannot_write(Path::new("standard output"), &error))
+        }
+        _ => Ok(()),
+    }
+}
+
 fn cannot_write(path: &Path, error: &io::Error) -> InputError {
     InputError::new(format!("cannot be written: {error}")).file(path)
 }

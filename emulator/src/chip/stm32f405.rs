@@ -456,6 +456,20 @@ impl Stm32f405 {
         (&self.tim[n], self.bus.slots()[self.slots.tim[n]].registers())
     }
 
+    /// Puts an address where nothing is into the memory address of a stream of DMA2, or takes it out.
+    pub fn lead_stream_astray(&mut self, stream: usize, astray: bool) {
+        use generated::dma2::Register;
+        const ASTRAY: u64 = 0x4000_0000;
+        let register = match stream {
+            0 => Register::S0m0ar,
+            3 => Register::S3m0ar,
+            _ => panic!("stream {stream} moves nothing of the inertial sensor"),
+        };
+        let registers = self.bus.slot_mut(self.slots.dma[1]).registers_mut();
+        let address = registers.get(register);
+        registers.set(register, if astray { address | ASTRAY } else { address & !ASTRAY });
+    }
+
     /// Streams that run with a memory address which DMA can't reach: controller (1 or 2) and stream.
     pub fn unreachable_by_dma(&self) -> Vec<(usize, usize)> {
         use generated::dma2::{Register, s0cr};

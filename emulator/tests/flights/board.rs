@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use emulator::faults::Fault;
 use emulator::firmware::Firmware;
 use emulator::pads::Line;
 use emulator::radio::Protocol;
@@ -99,6 +100,41 @@ fn the_page_on_timing_has_this_images_figures() {
     near("latency, µs", number(latency[3]), timing.latency_ns.mean() * 1e-3, 0.03, 0.0);
     near("latency, µs", number(latency[4]), timing.latency_ns.most as f64 * 1e-3, 0.1, 0.0);
     assert!(timing.stamp_jitter_ns() <= 1_000, "{} ns", timing.stamp_jitter_ns());
+}
+
+#[test]
+fn the_interrupt_controller_has_the_priorities_of_the_table() {
+    // On the ground, before the pilot arms.
+    let flown = fly(&hover(""), &[(2.0, Fault::AllInterrupts)]);
+    let pairs = |n: usize| {
+        let by =
+            flown.timing.interrupted.iter().filter(move |(below, _)| *below == n).map(|(_, on_top)| *on_top);
+        // One that follows itself has ended by a way out that is not watched.
+        by.filter(|on_top| *on_top != n && HANDLERS[*on_top].exception >= 16).collect::<Vec<_>>()
+    };
+    for (n, below) in HANDLERS.iter().enumerate() {
+        let above = (0..HANDLERS.len()).filter(|m| HANDLERS[*m].priority > below.priority);
+        let expected: Vec<usize> = above.filter(|m| HANDLERS[*m].exception >= 16).collect();
+        assert_eq!(pairs(n), expected, "{} is interrupted by", below.vector);
+    }
+}
+
+/// The light: a flash of 50 ms a second on the ground, lit in flight.
+#[test]
+fn the_light_says_what_the_board_does() {
+    let flown = fly(&hover(""), &[]);
+    assert_healthy(&flown);
+    let state_at = |wanted: ArmState| flown.states.iter().find(|(_, state)| *state == wanted).unwrap().0;
+    let armed_s = state_at(ArmState::Armed);
+    let on_ground: Vec<_> =
+        flown.light.iter().filter(|(at_s, _)| (0.5..armed_s - 1.0).contains(at_s)).collect();
+    let flashes: Vec<f64> =
+        on_ground.windows(2).filter(|pair| pair[0].1).map(|pair| pair[1].0 - pair[0].0).collect();
+    assert!(flashes.len() >= 2, "{:?}", flown.light);
+    assert!(flashes.iter().all(|flash_s| (0.048..0.052).contains(flash_s)), "{flashes:?}");
+    let lit_s = flown.light.iter().find(|(at_s, lit)| *lit && *at_s >= armed_s - 0.01).unwrap().0;
+    let dark_s = flown.light.iter().find(|(at_s, lit)| !lit && *at_s > lit_s).unwrap().0;
+    assert!(lit_s < armed_s + 0.01 && dark_s > 12.0, "lit from {lit_s} to {dark_s} s: {}", story(&flown));
 }
 
 #[test]

@@ -7,7 +7,10 @@ use emulator::flight::Flown;
 use flight_core::ArmState::{self, Descent, Disarmed, Terminated};
 use flight_core::arming::Cause;
 
-use super::{after_arming, assert_sound, fly_twice, hover, story};
+use emulator::board::INSTRUCTIONS_PER_SECOND;
+use emulator::timing::HANDLERS;
+
+use super::{after_arming, assert_sound, fly, fly_twice, hover, story};
 
 /// In the middle of the hover.
 const AT_S: f64 = 9.0;
@@ -55,7 +58,11 @@ fn a_receiver_that_is_plugged_in_late_is_found() {
     // The pilot arms at 3 s; the search for the protocol takes a second and three frames.
     let flown = fly_twice(&hover(""), &[(0.0, Fault::RadioSilent(true)), (1.5, Fault::RadioSilent(false))]);
     assert_sound(&flown);
-    assert!(flown.armed && flown.took_off && flown.outcome.final_state == Disarmed, "{}", story(&flown));
+    assert!(
+        flown.armed && flown.took_off == Some(true) && flown.outcome.final_state == Disarmed,
+        "{}",
+        story(&flown)
+    );
 }
 
 // The inertial sensor.
@@ -72,7 +79,7 @@ fn a_sensor_that_is_absent_at_power_up_is_no_flight_and_no_reset() {
 fn a_sensor_that_comes_late_is_set_up() {
     let flown = fly_twice(&hover(""), &[(0.0, Fault::ImuDead(true)), (1.0, Fault::ImuDead(false))]);
     assert_sound(&flown);
-    assert!(flown.armed && flown.took_off, "{}", story(&flown));
+    assert!(flown.armed && flown.took_off == Some(true), "{}", story(&flown));
 }
 
 #[test]
@@ -131,6 +138,51 @@ fn a_magnetometer_that_comes_and_goes_is_found_again() {
     assert!(flown.log.iter().any(|line| line.contains("magnetometer found")), "{}", story(&flown));
 }
 
+/// The magnetometer's driver gives its run four milliseconds, whatever the wires do.
+#[test]
+fn a_held_bus_takes_no_more_than_the_time_of_a_run() {
+    let flown = fly(&hover(""), &[(AT_S, Fault::CompassBusHeld(true))]);
+    let compass = HANDLERS.iter().position(|handler| handler.vector == "CRYP").unwrap();
+    let most_ms = flown.timing.runs[compass].most as f64 / INSTRUCTIONS_PER_SECOND as f64 * 1e3;
+    assert!((3.0..4.3).contains(&most_ms), "{most_ms} ms: {}", story(&flown));
+}
+
+#[test]
+fn a_magnetometer_that_was_cut_off_in_a_byte_gets_its_clocks() {
+    let flown = fly_twice(&hover(""), &[(AT_S, Fault::CompassCutOff(8))]);
+    assert_sound(&flown);
+    assert_eq!((flown.outcome.crash, flown.outcome.final_state), (None, Disarmed), "{}", story(&flown));
+    let said = |what: &str| flown.log.iter().filter(|line| line.contains(what)).count();
+    assert_eq!((said("magnetometer lost"), said("magnetometer found")), (1, 2), "{}", story(&flown));
+}
+
+// What moves the bytes of the inertial sensor.
+
+/// DMA that reaches for an address where nothing is: the burst fails, or does not end. For 20 ms, of the 100 that a
+/// flight lasts without samples.
+#[test]
+fn bursts_that_fail_are_flown_through() {
+    for stream in [0, 3] {
+        let faults =
+            [(AT_S, Fault::StreamAstray(stream, true)), (AT_S + 0.02, Fault::StreamAstray(stream, false))];
+        let flown = fly_twice(&hover(""), &faults);
+        let story = story(&flown);
+        assert_eq!(
+            (flown.outcome.crash, flown.outcome.final_state),
+            (None, Disarmed),
+            "stream {stream}: {story}"
+        );
+        assert!(flown.resets.is_empty(), "stream {stream}: {story}");
+        assert_eq!(flown.unserved, [""; 0], "stream {stream}: {story}");
+        // The accesses that the fault made, and nothing else.
+        assert!(flown.gaps.iter().all(|gap| gap.contains("at 0x6")), "stream {stream}: {:?}", flown.gaps);
+        let lost =
+            flown.records.iter().filter(|record| record.imu.is_none() && record.time_us > 6_000_000).count();
+        // The fault, and the sensor's set-up after it, which takes 57 ms.
+        assert!((20..=90).contains(&lost), "stream {stream}: {lost} lost: {story}");
+    }
+}
+
 // The supply.
 
 #[test]
@@ -182,7 +234,7 @@ fn watchdog_resets(flown: &Flown, pads_limit_s: f64) {
 #[track_caller]
 fn commands_go_on(flown: &Flown, reset_s: f64, widest_s: f64) {
     for esc in &flown.escs {
-        let at_s = esc.commands_ns.iter().map(|at_ns| *at_ns as f64 * 1e-9);
+        let at_s = esc.commands.iter().map(|command| command.at_ns as f64 * 1e-9);
         let before: Vec<f64> = at_s.filter(|at_s| (AT_S - 0.01..reset_s).contains(at_s)).collect();
         let gap_s = before.windows(2).map(|pair| pair[1] - pair[0]).fold(0.0, f64::max);
         let last_s = before.last().copied().unwrap_or(0.0);
@@ -200,6 +252,18 @@ fn a_flight_task_that_hangs_stops_the_motors_and_is_reset() {
     // Twenty wake-ups without an end of its run: 20 ms, and a period of PWM.
     // From then on the stop is all that runs, so that the task may be mended before the reset.
     watchdog_resets(&hangs("DMA2_STREAM0", 0.5), 0.025);
+}
+
+#[test]
+fn a_pin_reset_after_the_watchdogs_is_no_watchdog_reset() {
+    let task = "DMA2_STREAM0";
+    let faults =
+        [(AT_S, Fault::Hang(task)), (AT_S + 0.5, Fault::Mended(task)), (AT_S + 2.5, Fault::ResetPin)];
+    let flown = fly_twice(&hover(""), &faults);
+    assert_eq!(flown.resets.len(), 2, "{}", story(&flown));
+    let said = |what: &str| flown.log.iter().filter(|line| line.contains(what)).count();
+    assert_eq!((said("reset by watchdog"), said("reset by pin")), (1, 1), "{}", story(&flown));
+    assert_eq!(flown.states.last().unwrap().1, Disarmed, "{}", story(&flown));
 }
 
 #[test]
@@ -230,6 +294,14 @@ fn a_flipped_pointer_stops_the_motors() {
     // The queue of the receiver's bytes; bit 27 makes its address one where nothing is: a bus fault.
     let flown = fly_twice(&hover(""), &[(AT_S, Fault::FlippedPointer("::VAR", 27))]);
     watchdog_resets(&flown, 0.03);
+}
+
+#[test]
+fn a_program_that_strays_through_the_address_space_is_broken_off() {
+    let flown = fly(&hover(""), &[(AT_S, Fault::Strays("EXTI4"))]);
+    let why = flown.broken_off.as_deref().unwrap_or_default();
+    assert!(why.contains("addresses where nothing is"), "{why}: {}", story(&flown));
+    assert!((AT_S..AT_S + 0.2).contains(&flown.outcome.flown_s()), "{}", story(&flown));
 }
 
 #[test]

@@ -12,7 +12,7 @@ use sim_host::allan::recording::{Column, Layout, Recording};
 use sim_host::allan::statistic::estimate_s;
 use sim_host::allan::{self, Coefficient, Found, Phase, Point, Statistic, Taus, plot};
 use sim_host::input_error::InputError;
-use sim_host::output_file::OutputFile;
+use sim_host::output_file::{OutputFile, spare};
 
 use super::{Answer, progress};
 
@@ -132,6 +132,11 @@ pub fn run(arguments: &AllanArguments) -> Result<Answer, InputError> {
         && !(rate_hz > 1e-9 && rate_hz < 1e9)
     {
         return Err(InputError::new("must be above 1e-9 and below 1e9 Hz").field("--rate-hz").value(rate_hz));
+    }
+    for (option, out) in
+        [("--plot", &arguments.plot), ("--imu", &arguments.imu), ("--kalibr", &arguments.kalibr)]
+    {
+        out.as_ref().map_or(Ok(()), |out| spare(&[&arguments.log], option, out))?;
     }
     let recording = Recording::open(&arguments.log, arguments.layout())?;
     let wanted = wanted(&recording, arguments)?;

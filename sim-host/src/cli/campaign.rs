@@ -1,16 +1,18 @@
 //! The command `fly` with `--runs`, and the command `merge`.
 
 use std::num::NonZeroUsize;
+use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
 use std::time::Instant;
 
 use serde_json::json;
 use sim_host::campaign::{self, Campaign, Run, Shard, Summary};
 use sim_host::input_error::InputError;
-use sim_host::output_file::OutputFile;
+use sim_host::interrupt;
+use sim_host::output_file::{OutputFile, spare};
 use sim_host::scene::Scene;
 
-use super::{Answer, FlyArguments, MergeArguments, interrupt, progress};
+use super::{Answer, FlyArguments, MergeArguments, progress};
 
 /// Flights with seeds counting up from the scene's.
 pub fn fly(scene: &Scene, arguments: &FlyArguments) -> Result<Answer, InputError> {
@@ -19,6 +21,9 @@ pub fn fly(scene: &Scene, arguments: &FlyArguments) -> Result<Answer, InputError
     if shard.parts() > campaign.runs {
         let allowed = format!("must be no more parts than the {} runs", campaign.runs);
         return Err(InputError::new(allowed).field("--shard").value(format!("…/{}", shard.parts())));
+    }
+    if let Some(out) = &arguments.out {
+        spare(&[Path::new(&arguments.scene)], "--out", out)?;
     }
     let runs = shard.runs(campaign.runs);
     let wanted = runs.end - runs.start;
@@ -52,6 +57,10 @@ pub fn fly(scene: &Scene, arguments: &FlyArguments) -> Result<Answer, InputError
 
 /// The parts of a campaign as if it had been flown in one go.
 pub fn merge(arguments: &MergeArguments) -> Result<Answer, InputError> {
+    if let Some(out) = &arguments.out {
+        let parts: Vec<&Path> = arguments.parts.iter().map(PathBuf::as_path).collect();
+        spare(&parts, "--out", out)?;
+    }
     let (campaign, runs) = campaign::merge(&arguments.parts)?;
     if let Some(path) = &arguments.out {
         campaign::write(OutputFile::create(path)?, &campaign, &runs)?;

@@ -7,7 +7,7 @@ use flight_core::Config;
 use flight_core::calibration::Calibration;
 use serde_json::json;
 use sim_host::input_error::InputError;
-use sim_host::output_file::OutputFile;
+use sim_host::output_file::{OutputFile, spare};
 use stored_config::{MAX_RECORD, VERSION, encode};
 
 use super::{Answer, ConfigArguments, load};
@@ -18,6 +18,7 @@ const CHIP: &str = "STM32F405RGTx";
 
 pub fn run(arguments: &ConfigArguments) -> Result<Answer, InputError> {
     let scene = load(&arguments.scene, None, None)?;
+    spare(&[Path::new(&arguments.scene)], "--out", &arguments.out)?;
     let mut buffer = [0; MAX_RECORD];
     let record = encode(&scene.config, &mut buffer)
         .map_err(|error| InputError::new(error.to_string()).field("SCENE").value(&arguments.scene))?;

@@ -1,11 +1,13 @@
 //! The command `fly`.
 
 use std::fmt::Write as _;
+use std::path::Path;
 use std::time::Instant;
 
 use sim_host::flight::summary::{describe, to_json, verdict};
 use sim_host::flight::{Flight, FlightLog};
 use sim_host::input_error::InputError;
+use sim_host::output_file::spare;
 use sim_host::report::{self, Recorder};
 use sim_host::scene::Scene;
 
@@ -24,7 +26,11 @@ pub fn run(arguments: &FlyArguments) -> Result<Answer, InputError> {
 
 /// One flight, with whatever is to be written about it.
 fn one(scene: &Scene, arguments: &FlyArguments) -> Result<Answer, InputError> {
-    let log = arguments.log.as_ref().map(|path| FlightLog::create(path, scene)).transpose()?;
+    let (log, report) = (arguments.log.as_deref(), arguments.report.as_deref());
+    for (option, out) in [("--log", log), ("--report", report)] {
+        out.map_or(Ok(()), |out| spare(&[Path::new(&arguments.scene)], option, out))?;
+    }
+    let log = log.map(|path| FlightLog::create(path, scene)).transpose()?;
     let recorder = arguments.report.as_ref().map(|_| Recorder::new());
     let progress = FlightProgress::new(scene.duration_s, &scene.name);
 

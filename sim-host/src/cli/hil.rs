@@ -10,11 +10,13 @@ use sim_host::flight::{FlightLog, summary};
 use sim_host::hil::{self, Account, Faults, Flown, LinkError, Received, Report, Serial, Wire};
 use sim_host::image::image_sha256;
 use sim_host::input_error::InputError;
+use sim_host::interrupt;
+use sim_host::output_file::spare;
 use sim_host::report::{self, Recorder};
 use sim_host::scene::Scene;
 
 use super::progress::FlightProgress;
-use super::{Answer, HilArguments, interrupt, load};
+use super::{Answer, HilArguments, load};
 
 pub fn run(arguments: &HilArguments) -> Result<Answer, InputError> {
     let scene = load(&arguments.scene, arguments.seed, arguments.duration)?;
@@ -70,6 +72,10 @@ fn on_qemu(_: &Scene, _: &HilArguments) -> Result<Answer, InputError> {
 
 /// One flight, with whatever is to be written about it.
 fn one(wire: &mut impl Wire, scene: &Scene, arguments: &HilArguments) -> Result<(Flown, f64), InputError> {
+    let inputs = [Path::new(&arguments.scene), arguments.image.as_deref().unwrap_or(Path::new(""))];
+    for (option, out) in [("--log", &arguments.log), ("--report", &arguments.report)] {
+        out.as_ref().map_or(Ok(()), |out| spare(&inputs, option, out))?;
+    }
     let log = arguments.log.as_ref().map(|path| FlightLog::create(path, scene)).transpose()?;
     let recorder = arguments.report.as_ref().map(|_| Recorder::new());
     let progress = FlightProgress::new(scene.duration_s, &scene.name);

@@ -6,7 +6,6 @@ mod config;
 mod cost;
 mod fly;
 mod hil;
-mod interrupt;
 mod listing;
 mod paper;
 mod progress;
@@ -20,7 +19,7 @@ use clap::{Parser, Subcommand, ValueEnum};
 use serde_json::Value;
 use sim_host::campaign::Shard;
 use sim_host::input_error::InputError;
-use sim_host::log;
+use sim_host::{interrupt, log, output_file};
 
 /// Where recordings are looked for: the directory that the tests take theirs from.
 const RECORDINGS: &str = "KESTREL_DATA";
@@ -76,7 +75,7 @@ struct FlyArguments {
     #[arg(long, value_name = "N")]
     seed: Option<u64>,
     /// Length of the flight in seconds, instead of the scene's
-    #[arg(long, value_name = "S")]
+    #[arg(long, value_name = "S", allow_negative_numbers = true)]
     duration: Option<f64>,
     /// Fly this many times, with seeds counting up
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u64).range(1..=1_000_000))]
@@ -127,7 +126,7 @@ struct HilArguments {
     #[arg(long, value_name = "N")]
     seed: Option<u64>,
     /// Length of the flight in seconds, instead of the scene's
-    #[arg(long, value_name = "S")]
+    #[arg(long, value_name = "S", allow_negative_numbers = true)]
     duration: Option<f64>,
     /// Write the sensor log, truth and pulses of the flight
     #[arg(long, value_name = "F.csv")]
@@ -179,7 +178,7 @@ struct SenseArguments {
     #[arg(long, value_name = "N")]
     seed: Option<u64>,
     /// Length in seconds, instead of the scene's
-    #[arg(long, value_name = "S")]
+    #[arg(long, value_name = "S", allow_negative_numbers = true)]
     duration: Option<f64>,
     /// Samples per second
     #[arg(long, value_name = "R", default_value_t = sim_host::scene::DEFAULT_RATE_HZ)]
@@ -279,20 +278,19 @@ pub fn run() -> ExitCode {
     match answer {
         Ok(answer) => {
             let line = if arguments.json { answer.json.to_string() } else { answer.text };
-            print(line.trim_end());
-            if answer.failed { ExitCode::from(FAILED) } else { ExitCode::SUCCESS }
+            match output_file::print(line.trim_end()) {
+                Ok(()) if answer.failed => ExitCode::from(FAILED),
+                Ok(()) => ExitCode::SUCCESS,
+                Err(error) => refuse(&error),
+            }
         }
-        Err(error) => {
-            eprintln!("error: {error}");
-            ExitCode::from(BAD_INPUT)
-        }
+        Err(error) => refuse(&error),
     }
 }
 
-/// Prints to standard output. A reader that has gone away (`| head`) is no error.
-fn print(text: &str) {
-    use std::io::Write as _;
-    let _ = writeln!(std::io::stdout(), "{text}");
+fn refuse(error: &InputError) -> ExitCode {
+    eprintln!("error: {error}");
+    ExitCode::from(BAD_INPUT)
 }
 
 /// The scene of an argument, with its overrides.

@@ -1,16 +1,21 @@
 //! The commands `sense` and `estimate`: making logs, and running over them.
 
+use std::path::Path;
 use std::time::Instant;
 
 use serde_json::json;
 use sim_host::input_error::InputError;
 use sim_host::log::{Axes, LogWriter};
+use sim_host::output_file::spare;
 use sim_host::{estimate, sense};
 
 use super::{Answer, EstimateArguments, SenseArguments, load};
 
 pub fn sense(arguments: &SenseArguments) -> Result<Answer, InputError> {
     let scene = load(&arguments.scene, arguments.seed, arguments.duration)?;
+    if let Some(out) = &arguments.out {
+        spare(&[Path::new(&arguments.scene)], "--out", out)?;
+    }
     let mut writer = arguments.out.as_ref().map(LogWriter::create).transpose()?;
     let start = Instant::now();
     let samples = sense::run(&scene, scene.seed, arguments.rate_hz, writer.as_mut())?;

@@ -35,6 +35,11 @@ pub fn verdict(outcome: &Outcome) -> String {
     }
 }
 
+/// A rate in words: `3.21 million`, or `2,650` (which a flight on an emulated board makes).
+fn rate(per_s: f64) -> String {
+    if per_s >= 1.0e5 { format!("{:.2} million", per_s * 1e-6) } else { format!("{per_s:.0}") }
+}
+
 /// An outcome for people.
 pub fn describe(scene: &Scene, outcome: &Outcome, verdict: &str, wall_s: f64) -> String {
     format!(
@@ -44,7 +49,7 @@ pub fn describe(scene: &Scene, outcome: &Outcome, verdict: &str, wall_s: f64) ->
          worst tilt error         {tilt_error:.3}°\n  \
          worst tilt               {tilt:.2}°\n  \
          worst distance           {distance:.3} m from the pilot's target\n  \
-         speed                    {flown:.1} s in {wall_s:.3} s: {factor:.0} × real time, {rate:.2} million steps a second\n  \
+         speed                    {flown:.1} s in {wall_s:.3} s: {factor:.0} × real time, {rate} steps a second\n  \
          digest                   {digest:016x}",
         name = scene.name,
         seed = scene.seed,
@@ -58,7 +63,7 @@ pub fn describe(scene: &Scene, outcome: &Outcome, verdict: &str, wall_s: f64) ->
         distance = outcome.position_error_max_m,
         flown = outcome.flown_s(),
         factor = outcome.flown_s() / wall_s,
-        rate = outcome.control_steps as f64 / wall_s * 1e-6,
+        rate = rate(outcome.control_steps as f64 / wall_s),
         digest = outcome.digest,
     )
 }

@@ -1,9 +1,9 @@
-//! Ctrl-C.
+//! Ctrl-C, and a request to terminate: the program ends without a temporary file left behind.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, OnceLock};
 
-use sim_host::output_file;
+use crate::output_file;
 
 /// Exit code after Ctrl-C, as shells have it: 128 + SIGINT.
 const INTERRUPTED: i32 = 130;
