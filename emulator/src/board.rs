@@ -3,6 +3,7 @@
 use std::num::{NonZeroU32, NonZeroU64};
 use std::path::Path;
 
+use input::InputError;
 use rigless::cpu::armv7m as cpu;
 use rigless::device::{ErasedDevice, Level, ResetCause};
 use rigless::image::Image;
@@ -14,7 +15,6 @@ use rigless::soc::stm32f427::peripherals::gpio::Pin;
 use rigless::soc::stm32f427::peripherals::spi::Select;
 use rigless::soc::{Bus, Error};
 use rigless::time::VirtualNanos;
-use sim_host::input_error::InputError;
 use sim_host::scene::Scene;
 
 use crate::chip::exti::PVD_LINE;

@@ -6,10 +6,10 @@ use std::io::{IsTerminal as _, stderr};
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
+use input::InputError;
 use object::{Architecture, Object as _, ObjectSegment as _, ObjectSymbol as _};
 use rigless::image::Image;
 use sim_host::image::image_sha256;
-use sim_host::input_error::InputError;
 
 /// Where the configuration is stored: sector 1 (memory.x).
 pub const CONFIGURATION: u64 = 0x0800_4000;
@@ -49,6 +49,18 @@ impl Firmware {
     /// # Errors
     /// As [`Self::build`].
     pub fn build_with_esc(esc: Option<&str>) -> Result<Self, InputError> {
+        Self::build_with(&[("KESTREL_ESC", esc)])
+    }
+
+    /// Builds it for a vehicle: what `KESTREL_VEHICLE` is at build time (docs/hardware.md).
+    ///
+    /// # Errors
+    /// As [`Self::build`].
+    pub fn build_with_vehicle(vehicle: &str) -> Result<Self, InputError> {
+        Self::build_with(&[("KESTREL_VEHICLE", Some(vehicle))])
+    }
+
+    fn build_with(variables: &[(&str, Option<&str>)]) -> Result<Self, InputError> {
         let refused =
             |what: String| InputError::new(format!("{what}: name an image by --image ELF")).file("firmware");
         let workspace = Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap_or(Path::new("/"));
@@ -57,7 +69,8 @@ impl Firmware {
         }
         let targets =
             std::env::var_os("CARGO_TARGET_DIR").map_or_else(|| workspace.join("target"), PathBuf::from);
-        let target = std::path::absolute(targets.join("flash-image").join(esc.unwrap_or("board")))
+        let kind = variables.iter().find_map(|(_, value)| *value).unwrap_or("board").replace('/', "-");
+        let target = std::path::absolute(targets.join("flash-image").join(kind))
             .map_err(|error| refused(format!("no target directory: {error}")))?;
         let mut cargo = Command::new(std::env::var_os("CARGO").as_deref().unwrap_or(OsStr::new("cargo")));
         cargo
@@ -67,11 +80,14 @@ impl Firmware {
             .arg(&target)
             // These would replace the link arguments of .cargo/config.toml.
             .env_remove("RUSTFLAGS")
-            .env_remove("CARGO_ENCODED_RUSTFLAGS");
-        match esc {
-            Some(protocol) => cargo.env("KESTREL_ESC", protocol),
-            None => cargo.env_remove("KESTREL_ESC"),
-        };
+            .env_remove("CARGO_ENCODED_RUSTFLAGS")
+            .env_remove("KESTREL_ESC")
+            .env_remove("KESTREL_VEHICLE");
+        for (name, value) in variables {
+            if let Some(value) = value {
+                cargo.env(name, value);
+            }
+        }
         if !stderr().is_terminal() {
             cargo.arg("--quiet");
         }
@@ -194,8 +210,27 @@ impl Firmware {
         Ok(())
     }
 
+    /// The configuration of the vehicle that the image was built for.
+    ///
+    /// # Errors
+    /// It has none, or one of another version.
+    pub fn vehicle(&self) -> Result<flight_core::Config, InputError> {
+        let bytes = self.bytes_at("KESTREL_VEHICLE");
+        let bytes =
+            bytes.ok_or_else(|| refused(&self.path, "must have the symbol KESTREL_VEHICLE".into()))?;
+        stored_config::decode(&bytes)
+            .map_err(|error| refused(&self.path, format!("has a vehicle that is {error}")))
+    }
+
     /// The text behind a symbol in flash, up to a zero.
     fn text_at(&self, symbol: &str) -> Option<String> {
+        let data = self.bytes_at(symbol)?;
+        let text = data.split(|&byte| byte == 0).next()?;
+        String::from_utf8(text.get(..text.len().min(64))?.to_vec()).ok()
+    }
+
+    /// What stands behind a symbol in flash.
+    fn bytes_at(&self, symbol: &str) -> Option<Vec<u8>> {
         let address = self.symbol(symbol)?;
         let file = object::File::parse(&*self.elf).ok()?;
         let segment = file.segments().find(|segment| {
@@ -203,9 +238,7 @@ impl Firmware {
                 (segment.address()..segment.address() + data.len() as u64).contains(&address)
             })
         })?;
-        let data = segment.data().ok()?.get((address - segment.address()) as usize..)?;
-        let text = data.split(|&byte| byte == 0).next()?;
-        String::from_utf8(text.get(..text.len().min(64))?.to_vec()).ok()
+        Some(segment.data().ok()?.get((address - segment.address()) as usize..)?.to_vec())
     }
 
     /// The file's name, for messages.

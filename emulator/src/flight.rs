@@ -16,6 +16,7 @@ use std::path::Path;
 use flight_core::record::{self, StepRecord};
 use flight_core::sample::{Input, RcFrame};
 use flight_core::{ArmState, Config};
+use input::InputError;
 use rigless::device::ResetCause;
 use rigless::emulator::{
     self, AccessKind, Driver, HitKind, Host, InterruptLine, Settled, Start, Stop, Watch,
@@ -25,7 +26,6 @@ use rigless::session::Session;
 use rigless::soc::Width;
 use rigless::time::VirtualNanos;
 use sim_host::flight::{Answer, Crash, FlightLog, Outcome, World, steps_of};
-use sim_host::input_error::InputError;
 use sim_host::scene::Scene;
 
 use crate::board::{self, FlightBoard, Machine, Wiring, to_chip};
@@ -64,6 +64,8 @@ pub struct Settings<'a> {
     pub after_crash_s: f64,
     /// What goes wrong, and when (s).
     pub faults: Vec<(f64, Fault)>,
+    /// The flight ends as soon as it can't be a good one any more.
+    pub fail_fast: bool,
 }
 
 /// What became of a flight.
@@ -171,6 +173,12 @@ pub fn fly(
         light: vec![(0.0, false)],
         rules: Rules::new(settings.wiring),
         astray: false,
+        arms_by_ns: match &scene.pilot {
+            // The gesture, the checks, and some time.
+            Some(pilot) if settings.fail_fast => ((pilot.plan.arm_at_s + 2.0) * 1e9) as u64,
+            _ => u64::MAX,
+        },
+        hopeless: false,
         raise_all: [false; _],
         in_ccm: BTreeMap::new(),
         done: false,
@@ -184,6 +192,7 @@ pub fn fly(
     let resets = resets.iter().map(|reset| (reset.at.0 as f64 * 1e-9, cause(reset.cause))).collect();
     let Pilot { world, observer, flown, crash, crashed_at, done, .. } = pilot;
     let broken_off = match done {
+        _ if pilot.hopeless => Some("broken off: it can't be a good flight any more".into()),
         _ if pilot.astray => {
             Some(format!("accesses to more than {ASTRAY_ADDRESSES} addresses where nothing is"))
         }
@@ -268,6 +277,9 @@ struct Pilot {
     light: Vec<(f64, bool)>,
     rules: Rules,
     astray: bool,
+    /// From then on nothing that is wrong is waited out.
+    arms_by_ns: u64,
+    hopeless: bool,
     /// Handlers at whose next entry all other interrupts are raised.
     raise_all: [bool; HANDLERS.len()],
     in_ccm: BTreeMap<(usize, usize), u64>,
@@ -455,6 +467,12 @@ impl Driver<FlightBoard> for Pilot {
         host: &mut dyn Host,
     ) -> Option<VirtualNanos> {
         let now_ns = stop.at.0;
+        if now_ns >= self.arms_by_ns {
+            self.hopeless = !self.armed || self.rules.is_broken() || self.vectors.is_unserved();
+            if self.hopeless {
+                return None;
+            }
+        }
         if self.flown.is_multiple_of(LOG_STEPS) {
             self.astray = session.unmapped().len() + session.refused().len() > ASTRAY_ADDRESSES;
             if self.astray {

@@ -3,9 +3,9 @@
 use std::io::{self, Write as _};
 
 use firmware_log::{Decoder, Memory, RttError, drain, rtt_control_block};
+use input::InputError;
 use rigless::emulator::Host;
 use rigless::soc::Width;
-use sim_host::input_error::InputError;
 
 use crate::firmware::Firmware;
 

@@ -14,9 +14,9 @@ use emulator::firmware::Firmware;
 use emulator::flight::{self, Flown, Settings};
 use emulator::radio::Protocol;
 use emulator::timing::HANDLERS;
+use input::InputError;
 use serde_json::{Value, json};
 use sim_host::flight::{FlightLog, summary};
-use sim_host::input_error::InputError;
 use sim_host::output_file::spare;
 use sim_host::scene::Scene;
 use sim_host::{interrupt, output_file};
@@ -36,6 +36,9 @@ const BAD_INPUT: u8 = 2;
 struct Arguments {
     /// A built-in scene or a scene file
     scene: String,
+    /// The vehicle, built-in or a file, instead of the scene's; its configuration is in the board's flash
+    #[arg(long, value_name = "NAME|F.toml")]
+    vehicle: Option<String>,
     /// Seed of every random stream, instead of the scene's
     #[arg(long, value_name = "N")]
     seed: Option<u64>,
@@ -80,7 +83,7 @@ fn main() -> ExitCode {
 
 fn run(arguments: &Arguments) -> Result<(String, bool), InputError> {
     let wiring = board(&arguments.board)?;
-    let mut scene = Scene::load(&arguments.scene)?;
+    let mut scene = Scene::load_with_vehicle(&arguments.scene, arguments.vehicle.as_deref())?;
     if let Some(seed) = arguments.seed {
         scene.seed = seed;
     }
@@ -106,6 +109,7 @@ fn run(arguments: &Arguments) -> Result<(String, bool), InputError> {
         print_log: arguments.firmware_log,
         after_crash_s: 0.0,
         faults: Vec::new(),
+        fail_fast: false,
     };
     let start = Instant::now();
     let (flown, log) = flight::fly(&scene, scene.seed, settings, log)?;

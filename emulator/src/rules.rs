@@ -87,6 +87,11 @@ impl Rules {
         }
     }
 
+    /// Whether any was broken so far.
+    pub fn is_broken(&self) -> bool {
+        !self.broken.is_empty()
+    }
+
     /// What was broken, a line each.
     pub fn complaints(&self) -> Vec<String> {
         self.broken.iter().map(|(what, at_s)| format!("{what}, since {at_s:.3} s")).collect()

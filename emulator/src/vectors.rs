@@ -86,6 +86,11 @@ impl Vectors {
         }
     }
 
+    /// Whether anything was wrong so far.
+    pub fn is_unserved(&self) -> bool {
+        self.0.iter().any(|vector| vector.entered_again > 0)
+    }
+
     /// What was wrong.
     pub fn into_complaints(self) -> Vec<String> {
         let again = self.0.into_iter().filter(|vector| vector.entered_again > 0);

@@ -39,6 +39,10 @@ pub struct ControlParams {
     pub rate_d: Vec3<f32>,
     /// Largest angular acceleration that the integrator may hold, per axis, rad/s².
     pub max_integral_rad_s2: Vec3<f32>,
+    /// Throttle, 0 to 1, above which the vehicle is taken to have left the ground: a fifth of what it takes to hover.
+    /// Below it, before the first time, the rotors idle: a controller that fights the ground winds up and tips the
+    /// vehicle over.
+    pub begin_throttle: f32,
 }
 
 impl ControlParams {
@@ -59,6 +63,7 @@ impl ControlParams {
         rate_i: vec3(15.0, 15.0, 4.0),
         rate_d: vec3(1.0, 1.0, 0.0),
         max_integral_rad_s2: vec3(20.0, 20.0, 4.0),
+        begin_throttle: 0.1,
     };
 
     fn validate(&self) -> Result<(), ConfigError> {
@@ -68,6 +73,7 @@ impl ControlParams {
         check("control.max_tilt_rate_rad_s", self.max_tilt_rate_rad_s, 0.01, 35.0)?;
         check("control.tilt_p", self.tilt_p, 0.0, 100.0)?;
         check("control.heading_p", self.heading_p, 0.0, 100.0)?;
+        check("control.begin_throttle", self.begin_throttle, 0.0, 0.5)?;
         for (field, gains, maximum) in [
             ("control.rate_p", self.rate_p, 1.0e3),
             ("control.rate_i", self.rate_i, 1.0e4),
@@ -85,15 +91,13 @@ impl ControlParams {
 /// Stick deflection within which the pilot is taken to hold the heading.
 const YAW_DEADBAND: f32 = 0.02;
 
-/// Throttle above which the vehicle is taken to have left the ground. Below it, before the first time, the
-/// rotors idle: a controller that fights the ground winds up and tips the vehicle over.
-const TAKE_OFF_THROTTLE: f32 = 0.1;
-
 /// What the cascade is to reach.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Setpoint {
     turn: Turn,
     throttle: f32,
+    /// The throttle is where control begins, or above it.
+    lifts: bool,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -110,7 +114,8 @@ enum Turn {
 }
 
 impl Setpoint {
-    const LEVEL: Self = Self { turn: Turn::To { down: Vec3::Z, yaw_rate: None }, throttle: 0.0 };
+    const LEVEL: Self =
+        Self { turn: Turn::To { down: Vec3::Z, yaw_rate: None }, throttle: 0.0, lifts: false };
 }
 
 /// The cascade's state.
@@ -164,12 +169,18 @@ impl Controller {
                 yaw_rate.unwrap_or(0.0),
             )),
         };
-        self.setpoint = Setpoint { turn, throttle: sticks.throttle };
+        self.setpoint = Setpoint { turn, ..self.level_at(sticks.throttle) };
     }
 
     /// Level, heading held, at this throttle (0 to 1), whatever the sticks last said.
     pub fn set_level(&mut self, throttle: f32) {
-        self.setpoint = Setpoint { throttle, ..Setpoint::LEVEL };
+        self.setpoint = self.level_at(throttle);
+    }
+
+    fn level_at(&self, throttle: f32) -> Setpoint {
+        // As a comparison that is false for a throttle that is no number: it lifted off, and control stays.
+        let below = throttle < self.params.begin_throttle;
+        Setpoint { throttle, lifts: !below, ..Setpoint::LEVEL }
     }
 
     /// The last throttle position, 0 to 1.
@@ -207,7 +218,7 @@ impl Controller {
         dt_s: f32,
     ) -> Vec3<f32> {
         if !self.flying {
-            if self.setpoint.throttle < TAKE_OFF_THROTTLE {
+            if !self.setpoint.lifts {
                 self.rest(rates, heading);
                 return Vec3::ZERO;
             }

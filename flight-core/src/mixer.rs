@@ -1,16 +1,17 @@
 //! Thrust and torques to rotor speeds, and back: eqs 4-7.
 //!
-//! With A the 4×4 sign matrix of eqs 4-7 (a Hadamard matrix, A⁻¹ = Aᵀ/4):
+//! With A the 4×4 sign matrix of eqs 4-7 (a Hadamard matrix, A⁻¹ = Aᵀ/4), f and r the distances of the rotors forward
+//! and to the right of the centre of gravity (of the paper's square f = r = l sin(π/4)):
 //!
 //! ```text
 //!            U1 = b Σ Ω²                  rotor   roll  pitch  yaw    seen from above, forward is up
-//!  roll    = l U2 = l b sin(π/4) Σ ±Ω²      1      +     +     +        1 ↺     2 ↻
-//!  pitch   = l U3 = l b sin(π/4) Σ ±Ω²      2      −     +     −            ╳
+//!  roll    = l U2 = r b Σ ±Ω²               1      +     +     +        1 ↺     2 ↻
+//!  pitch   = l U3 = f b Σ ±Ω²               2      −     +     −            ╳          Spin::PropsOut
 //!  yaw     =   U4 = d Σ ±Ω²                 3      −     −     +        4 ↻     3 ↺
 //!                                           4      +     −     −
 //! ```
 //!
-//! so Ωᵢ² = U1/4b ± √2 U2/4b ± √2 U3/4b ± U4/4d. A rotor can do Ω_idle² to Ω_max² and nothing else, and a
+//! so Ωᵢ² = U1/4b ± roll/4br ± pitch/4bf ± yaw/4d; with [`Spin::PropsIn`] the signs of yaw are the opposite ones. A rotor can do Ω_idle² to Ω_max² and nothing else, and a
 //! demand outside it is cut in a fixed order: keep roll and pitch, shift the collective into range, then
 //! scale yaw, then scale roll and pitch together. No rotor is clipped by itself, which would turn a yaw
 //! demand into roll.
@@ -18,6 +19,27 @@
 use crate::arithmetic::{max, min, sqrt};
 use crate::config::{ConfigError, check};
 use crate::geometry::{Vec3, vec3};
+
+/// Which way the rotors turn, seen from above.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+pub enum Spin {
+    /// Front left and rear right anticlockwise, the others clockwise: the paper's, and Betaflight's "props out".
+    #[default]
+    PropsOut,
+    /// Front left and rear right clockwise: the default of PX4 and of Betaflight, "props in".
+    PropsIn,
+}
+
+impl Spin {
+    /// Sign of the yaw torque (about the body's z, down) of the front left rotor.
+    pub const fn sign(self) -> f32 {
+        match self {
+            Self::PropsOut => 1.0,
+            Self::PropsIn => -1.0,
+        }
+    }
+}
 
 /// The vehicle, as far as thrust, torque and angular acceleration go (symbols of the paper's table 1).
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -27,8 +49,12 @@ pub struct Airframe {
     pub thrust_coefficient: f32,
     /// d, N·m·s²: reaction torque of a rotor is d Ω².
     pub torque_coefficient: f32,
-    /// l, m: centre of gravity to rotor axis.
-    pub arm_m: f32,
+    /// f, m: how far the front rotors are forward of the centre of gravity, and the rear ones behind it.
+    pub forward_m: f32,
+    /// r, m: how far the right rotors are to the right of it, and the left ones to the left.
+    pub right_m: f32,
+    /// Which way the rotors turn.
+    pub spin: Spin,
     /// I_xx, I_yy, I_zz, kg·m².
     pub inertia_kg_m2: Vec3<f32>,
     /// Slowest speed of an armed rotor, rad/s.
@@ -44,7 +70,10 @@ impl Airframe {
     pub const OS4: Self = Self {
         thrust_coefficient: 3.13e-5,
         torque_coefficient: 7.5e-7,
-        arm_m: 0.23,
+        // l sin(π/4), with l = 0.23 m.
+        forward_m: 0.23 * core::f32::consts::FRAC_1_SQRT_2,
+        right_m: 0.23 * core::f32::consts::FRAC_1_SQRT_2,
+        spin: Spin::PropsOut,
         inertia_kg_m2: vec3(7.5e-3, 7.5e-3, 1.3e-2),
         idle_rad_s: 32.0,
         max_rad_s: 319.0,
@@ -74,9 +103,11 @@ pub struct Saturation {
 pub struct Mixer {
     /// 1/4b: Ω² per N.
     per_thrust: f32,
-    /// √2/(4 b l): Ω² per N·m of roll or pitch.
-    per_tilt_torque: f32,
-    /// 1/4d: Ω² per N·m of yaw.
+    /// 1/(4 b r): Ω² per N·m of roll.
+    per_roll_torque: f32,
+    /// 1/(4 b f): Ω² per N·m of pitch.
+    per_pitch_torque: f32,
+    /// ±1/4d: Ω² of the front left rotor per N·m of yaw.
     per_yaw_torque: f32,
     min_square: f32,
     max_square: f32,
@@ -86,18 +117,20 @@ impl Mixer {
     /// The mixer of an airframe.
     ///
     /// # Errors
-    /// A coefficient, arm, inertia or speed that isn't positive; an idle speed not below the maximum.
+    /// A coefficient, distance, inertia or speed that isn't positive; an idle speed not below the maximum.
     pub fn new(airframe: &Airframe) -> Result<Self, ConfigError> {
-        let Airframe { thrust_coefficient: b, torque_coefficient: d, arm_m, .. } = *airframe;
+        let Airframe { thrust_coefficient: b, torque_coefficient: d, forward_m, right_m, .. } = *airframe;
         check("airframe.thrust_coefficient", b, 1.0e-9, 1.0)?;
         check("airframe.torque_coefficient", d, 1.0e-11, 1.0)?;
-        check("airframe.arm_m", arm_m, 0.01, 10.0)?;
+        check("airframe.forward_m", forward_m, 0.005, 10.0)?;
+        check("airframe.right_m", right_m, 0.005, 10.0)?;
         check("airframe.max_rad_s", airframe.max_rad_s, 1.0, 1.0e4)?;
         check("airframe.idle_rad_s", airframe.idle_rad_s, 0.0, 0.5 * airframe.max_rad_s)?;
         Ok(Self {
             per_thrust: 0.25 / b,
-            per_tilt_torque: core::f32::consts::SQRT_2 / (4.0 * b * arm_m),
-            per_yaw_torque: 0.25 / d,
+            per_roll_torque: 0.25 / (b * right_m),
+            per_pitch_torque: 0.25 / (b * forward_m),
+            per_yaw_torque: airframe.spin.sign() * 0.25 / d,
             min_square: airframe.idle_rad_s * airframe.idle_rad_s,
             max_square: airframe.max_rad_s * airframe.max_rad_s,
         })
@@ -119,8 +152,8 @@ impl Mixer {
     #[inline]
     pub fn mix(&self, demand: &Wrench) -> ([f32; 4], Saturation) {
         let span = self.max_square - self.min_square;
-        let roll = demand.torque_n_m.x * self.per_tilt_torque;
-        let pitch = demand.torque_n_m.y * self.per_tilt_torque;
+        let roll = demand.torque_n_m.x * self.per_roll_torque;
+        let pitch = demand.torque_n_m.y * self.per_pitch_torque;
         let mut a = pitch + roll;
         let mut b = pitch - roll;
 
@@ -138,10 +171,10 @@ impl Mixer {
         let y = if yaw { room.copysign(wanted) } else { wanted };
 
         let highest = max(a.abs() + y, b.abs() - y);
-        let lowest = min(y - a.abs(), -b.abs() - y);
+        let deepest = max(a.abs() - y, b.abs() + y);
         // In this order the thrust that is not a number is the least, not the most: `min` returns its second.
         let wanted = min(self.max_square - highest, demand.thrust_n * self.per_thrust);
-        let collective = max(wanted, self.min_square - lowest);
+        let collective = max(wanted, self.min_square + deepest);
 
         let (up, down) = (collective + y, collective - y);
         ([up + a, down + b, up - a, down - b], Saturation { roll_pitch, yaw })
@@ -154,8 +187,8 @@ impl Mixer {
         Wrench {
             thrust_n: quarter(s1 + s2 + s3 + s4, self.per_thrust),
             torque_n_m: vec3(
-                quarter(s1 - s2 - s3 + s4, self.per_tilt_torque),
-                quarter(s1 + s2 - s3 - s4, self.per_tilt_torque),
+                quarter(s1 - s2 - s3 + s4, self.per_roll_torque),
+                quarter(s1 + s2 - s3 - s4, self.per_pitch_torque),
                 quarter(s1 - s2 + s3 - s4, self.per_yaw_torque),
             ),
         }
@@ -293,8 +326,8 @@ mod tests {
                 return Ok(());
             }
             let fits = |share: f32| {
-                let r = x * mixer.per_tilt_torque;
-                let p = y * mixer.per_tilt_torque;
+                let r = x * mixer.per_roll_torque;
+                let p = y * mixer.per_pitch_torque;
                 let w = share * z * mixer.per_yaw_torque;
                 let rotors = [r + p + w, p - r - w, w - r - p, r - p - w];
                 let spread = rotors.iter().fold(f32::MIN, |m, s| m.max(*s)) - rotors.iter().fold(f32::MAX, |m, s| m.min(*s));
@@ -313,11 +346,15 @@ mod tests {
     fn airframe() -> impl Strategy<Value = Airframe> {
         let coefficients =
             (-9.0..0.0_f32, -11.0..0.0_f32).prop_map(|(b, d)| (10.0_f32.powf(b), 10.0_f32.powf(d)));
-        (coefficients, 0.011..10.0_f32, 1.0..1.0e4_f32, 0.0..0.499_f32).prop_map(
-            |((b, d), arm_m, max_rad_s, idle)| Airframe {
+        let place =
+            (0.006..10.0_f32, 0.006..10.0_f32, prop::sample::select(&[Spin::PropsOut, Spin::PropsIn][..]));
+        (coefficients, place, 1.0..1.0e4_f32, 0.0..0.499_f32).prop_map(
+            |((b, d), (forward_m, right_m, spin), max_rad_s, idle)| Airframe {
                 thrust_coefficient: b.max(1.0e-9),
                 torque_coefficient: d.max(1.0e-11),
-                arm_m,
+                forward_m,
+                right_m,
+                spin,
                 idle_rad_s: idle * max_rad_s,
                 max_rad_s,
                 ..Airframe::OS4
@@ -331,16 +368,16 @@ mod tests {
         #[test]
         fn any_airframe_mixes_and_produces(airframe in airframe(), share in prop::array::uniform4(-0.6..0.6_f32)) {
             let mixer = Mixer::new(&airframe).unwrap();
-            let Airframe { thrust_coefficient: b, torque_coefficient: d, arm_m, .. } = airframe;
-            let [b, d, arm] = [b, d, arm_m].map(f64::from);
+            let Airframe { thrust_coefficient: b, torque_coefficient: d, forward_m, right_m, .. } = airframe;
+            let [b, d, forward, right] = [b, d, forward_m, right_m].map(f64::from);
             let (least, most) = (f64::from(airframe.idle_rad_s).powi(2), f64::from(airframe.max_rad_s).powi(2));
             prop_assert!((f64::from(mixer.max_thrust_n()) / (4.0 * b * most) - 1.0).abs() < 1e-6);
 
             // Eqs 4-7 for squares of c ± r ± p ± y, each a share of the range.
-            let lever = arm * core::f64::consts::FRAC_1_SQRT_2;
             let [c, r, p, y] = share.map(f64::from);
             let (middle, span) = (0.5 * (least + most), most - least);
-            let units = [4.0 * b, 4.0 * b * lever, 4.0 * b * lever, 4.0 * d];
+            let anticlockwise = if airframe.spin == Spin::PropsOut { 1.0 } else { -1.0 };
+            let units = [4.0 * b, 4.0 * b * right, 4.0 * b * forward, 4.0 * d * anticlockwise];
             let wanted = [middle + 0.5 * c * span, r * span, p * span, y * span];
             let demand: [f64; 4] = core::array::from_fn(|part| units[part] * wanted[part]);
             let [thrust_n, x, yy, z] = demand.map(|part| part as f32);
@@ -364,7 +401,7 @@ mod tests {
             let [s1, s2, s3, s4] = squares.map(f64::from);
             let sums = [s1 + s2 + s3 + s4, s1 - s2 - s3 + s4, s1 + s2 - s3 - s4, s1 - s2 + s3 - s4];
             for ((ours, sum), unit) in parts(&mixer.produce(squares)).into_iter().zip(sums).zip(units) {
-                prop_assert!((ours - 0.25 * unit * sum).abs() < 1e-6 * unit * most, "{} {}", ours, sum);
+                prop_assert!((ours - 0.25 * unit * sum).abs() < 1e-6 * unit.abs() * most, "{} {}", ours, sum);
             }
         }
 
@@ -385,23 +422,25 @@ mod tests {
 
         #[test]
         fn any_numbers_are_an_airframe_or_refused(
-            numbers in prop::array::uniform5(prop_oneof![
+            numbers in prop::array::uniform6(prop_oneof![
                 3 => Just(None), 1 => ANY.prop_map(Some), 1 => (-1.0..20.0_f32).prop_map(Some),
             ]),
         ) {
-            let [b, d, arm, idle, most] = numbers;
+            let [b, d, forward, right, idle, most] = numbers;
             let os4 = Airframe::OS4;
             let airframe = Airframe {
                 thrust_coefficient: b.unwrap_or(os4.thrust_coefficient),
                 torque_coefficient: d.unwrap_or(os4.torque_coefficient),
-                arm_m: arm.unwrap_or(os4.arm_m),
+                forward_m: forward.unwrap_or(os4.forward_m),
+                right_m: right.unwrap_or(os4.right_m),
                 idle_rad_s: idle.unwrap_or(os4.idle_rad_s),
                 max_rad_s: most.unwrap_or(os4.max_rad_s),
                 ..os4
             };
             let good = (1.0e-9..=1.0).contains(&airframe.thrust_coefficient)
                 && (1.0e-11..=1.0).contains(&airframe.torque_coefficient)
-                && (0.01..=10.0).contains(&airframe.arm_m)
+                && (0.005..=10.0).contains(&airframe.forward_m)
+                && (0.005..=10.0).contains(&airframe.right_m)
                 && (1.0..=1.0e4).contains(&airframe.max_rad_s)
                 && (0.0..=0.5 * airframe.max_rad_s).contains(&airframe.idle_rad_s);
             let mixer = Mixer::new(&airframe);
@@ -418,7 +457,8 @@ mod tests {
         let whole = Airframe {
             thrust_coefficient: 0.25,
             torque_coefficient: 0.25,
-            arm_m: core::f32::consts::SQRT_2,
+            forward_m: 1.0,
+            right_m: 1.0,
             idle_rad_s: 2.0,
             max_rad_s: 4.0,
             ..Airframe::OS4
@@ -458,16 +498,19 @@ mod tests {
     #[test]
     fn rotor_positions_and_spins_give_the_signs_of_the_equations() {
         // Cross products of lever and thrust, and the reaction to the spin, from geometry alone.
-        let arm = 0.23 * core::f32::consts::FRAC_1_SQRT_2;
         let rotors = [(1.0, -1.0, 1.0), (1.0, 1.0, -1.0), (-1.0, 1.0, 1.0), (-1.0, -1.0, -1.0)];
-        for (i, (forward, right, anticlockwise)) in rotors.into_iter().enumerate() {
-            let mut squares = [0.0; 4];
-            squares[i] = 1.0e4;
-            let w = mixer().produce(squares);
-            let thrust = vec3(0.0, 0.0, -3.13e-5 * 1.0e4);
-            let torque = vec3(forward * arm, right * arm, 0.0).cross(thrust);
-            let expected = vec3(torque.x, torque.y, anticlockwise * 7.5e-7 * 1.0e4);
-            assert!((w.torque_n_m - expected).norm() < 1e-6, "rotor {}", i + 1);
+        for (spin, turned) in [(Spin::PropsOut, 1.0), (Spin::PropsIn, -1.0)] {
+            let airframe = Airframe { forward_m: 0.1, right_m: 0.2, spin, ..Airframe::OS4 };
+            let mixer = Mixer::new(&airframe).unwrap();
+            for (i, (forward, right, anticlockwise)) in rotors.into_iter().enumerate() {
+                let mut squares = [0.0; 4];
+                squares[i] = 1.0e4;
+                let w = mixer.produce(squares);
+                let thrust = vec3(0.0, 0.0, -3.13e-5 * 1.0e4);
+                let torque = vec3(forward * 0.1, right * 0.2, 0.0).cross(thrust);
+                let expected = vec3(torque.x, torque.y, turned * anticlockwise * 7.5e-7 * 1.0e4);
+                assert!((w.torque_n_m - expected).norm() < 1e-6, "rotor {}", i + 1);
+            }
         }
     }
 }

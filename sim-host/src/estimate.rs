@@ -21,9 +21,9 @@ use flight_core::prefilter::{Biquad, Prefilter};
 use serde::Serialize;
 
 use crate::attitude_error::{AttitudeError, AttitudeRmse};
-use crate::input_error::InputError;
 use crate::log::{Axes, Log};
 use crate::output_file::{OutputFile, spare};
+use input::InputError;
 
 /// What to run, over what.
 #[derive(Clone, Debug, Default)]

@@ -28,12 +28,12 @@ use flight_core::{ArmState, FlightController};
 use xxhash_rust::xxh3::Xxh3;
 
 use crate::attitude_error::{AttitudeError, AttitudeRmse};
+use crate::dynamics::{State, Vehicle};
 use crate::effects::delivery::BoxedDelivery;
 use crate::effects::{Moment, OPTIONAL};
 use crate::pilot::{FRAME_RATE_HZ, Pilot};
 use crate::scene::{DEFAULT_RATE_HZ, MAG_RATE_HZ, Scene};
 use crate::sensors::{Sensors, deliver};
-use crate::vehicle::{State, Vehicle};
 
 pub use autopilot::{Answer, Autopilot};
 pub use log::FlightLog;
@@ -45,8 +45,8 @@ const RC_US: u64 = 1_000_000 / FRAME_RATE_HZ as u64;
 /// Time between two readings of the battery, µs.
 const BATTERY_US: u64 = 20_000;
 
-/// The supply where no scene's battery sags: three cells at 3.7 V.
-const SUPPLY: Battery = Battery { voltage_v: 11.1 };
+/// A cell of the battery where the scene names no sag, V.
+const CELL_V: f64 = 3.7;
 
 /// Touch-down faster than this is a crash, m/s.
 const MAX_TOUCH_DOWN_M_S: f64 = 2.0;
@@ -204,6 +204,7 @@ pub struct World {
     time_us: u64,
     next_mag_us: u64,
     next_rc_us: u64,
+    supply: Battery,
     next_battery_us: u64,
     airborne: bool,
     judge: Judge,
@@ -286,6 +287,7 @@ impl World {
             time_us: 0,
             next_mag_us: 0,
             next_rc_us: 0,
+            supply: Battery { voltage_v: (CELL_V * f64::from(scene.design.cells)) as f32 },
             next_battery_us: 0,
             airborne: false,
             judge: Judge { min_cos_tilt: 1.0, ..Judge::default() },
@@ -358,7 +360,7 @@ impl World {
             self.next_battery_us += BATTERY_US;
             match self.vehicle.battery_v() {
                 Some(voltage_v) if OPTIONAL => Some(Battery { voltage_v: voltage_v as f32 }),
-                _ => Some(SUPPLY),
+                _ => Some(self.supply),
             }
         } else {
             None

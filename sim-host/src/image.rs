@@ -10,7 +10,7 @@ use elf::abi::{EM_ARM, PT_LOAD};
 use elf::endian::LittleEndian;
 use elf::file::Class;
 
-use crate::input_error::InputError;
+use input::InputError;
 
 /// From the lowest byte to the highest there can't be more, bytes: no microcontroller has as much flash.
 const LARGEST: u64 = 1 << 24;

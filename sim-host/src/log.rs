@@ -14,7 +14,7 @@
 //! accelerometer that reads (0, 0, −9.81) m/s² level and at rest. [`LogWriter`] writes these.
 //!
 //! Nothing doubtful gets through: a cell that isn't a finite number, time that doesn't rise, a reference
-//! that is no rotation, each ends the reading with an [`InputError`](crate::input_error::InputError) that
+//! that is no rotation, each ends the reading with an [`InputError`](input::InputError) that
 //! names file, line and column.
 
 mod read;

@@ -12,7 +12,7 @@ use std::sync::{Mutex, PoisonError};
 
 use tempfile::NamedTempFile;
 
-use crate::input_error::InputError;
+use input::InputError;
 
 /// A file being written. Dropping it without [`finish`](Self::finish) leaves nothing behind.
 #[derive(Debug)]

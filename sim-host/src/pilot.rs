@@ -10,7 +10,7 @@ use flight_core::geometry::{Vec3, vec3};
 use flight_core::rc::{CENTRE_TICKS, FlightMode, HIGH_TICKS, LOW_TICKS};
 use flight_core::sample::{LinkStatus, RcFrame};
 
-use crate::vehicle::{GRAVITY, State};
+use crate::dynamics::{GRAVITY, State};
 
 /// Frames from the transmitter per second.
 pub const FRAME_RATE_HZ: f64 = 50.0;
@@ -150,6 +150,8 @@ const PLACE_D: f64 = 1.2;
 const PLACE_I: f64 = 0.08;
 /// A careful pilot tilts no further to hold a place, rad (20°).
 const MAX_HOLD_TILT_RAD: f64 = 0.35;
+/// In flight the throttle is never quite closed: share of hover.
+const LEAST_THROTTLE: f64 = 0.12;
 /// Heading error to yaw rate, 1/s.
 const HEADING_P: f64 = 1.0;
 
@@ -285,7 +287,8 @@ impl Pilot {
         let heading = libm::atan2(sin_yaw, cos_yaw);
         let yaw = -HEADING_P * heading / max_yaw_rate_rad_s;
         Sticks {
-            throttle: (hover_throttle * (1.0 - wanted_z / GRAVITY)).clamp(0.06, 1.0),
+            throttle: (hover_throttle * (1.0 - wanted_z / GRAVITY))
+                .clamp(LEAST_THROTTLE * hover_throttle, 1.0),
             roll: tilt(right),
             pitch: tilt(forward),
             // The flight code holds the heading by itself; a pilot only mends what is seen to be off.

@@ -10,12 +10,12 @@ use std::time::Instant;
 use flight_core::geometry::{Quaternion, Vec3, vec3};
 use flight_core::sample::{ImuSample, LinkStatus, MagSample, RcFrame};
 
+use crate::dynamics::{GRAVITY, State};
 use crate::effects::Moment;
 use crate::effects::delivery::{Delivery, ImuEffect, MagEffect};
 use crate::effects::vehicle::{BodyEffect as _, Load, Point, Stage, VehicleEffect};
 use crate::scene::{DEFAULT_RATE_HZ, MAG_RATE_HZ, Scene};
 use crate::sensors::Sensor;
-use crate::vehicle::{GRAVITY, State};
 
 /// An effect and its cost.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -13,7 +13,7 @@
 //! let mut recorder = Recorder::new();
 //! let outcome = Flight::new(&scene, scene.seed).run(&mut recorder);
 //! report::write("hover.html", &scene, scene.seed, &outcome, &recorder)?;
-//! # Ok::<(), sim_host::input_error::InputError>(())
+//! # Ok::<(), input::InputError>(())
 //! ```
 
 pub mod figures;
@@ -29,9 +29,9 @@ pub use page::page;
 pub use recorder::{Channel, Recorder};
 
 use crate::flight::Outcome;
-use crate::input_error::InputError;
 use crate::output_file::OutputFile;
 use crate::scene::Scene;
+use input::InputError;
 
 /// Writes the page of a flight of `scene` with `seed`: complete, or not at all.
 ///

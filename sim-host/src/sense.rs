@@ -3,13 +3,13 @@
 //! A scene with a pilot is flown, and its sensors are sampled on the way. A scene without one lies on the
 //! bench, where nothing but the sensors has to be computed.
 
+use crate::dynamics::Vehicle;
 use crate::effects::Moment;
 use crate::flight::{Flight, Observer, STEP_US, StepView};
-use crate::input_error::InputError;
 use crate::log::{LogRow, LogWriter};
 use crate::scene::{DEFAULT_RATE_HZ, MAG_RATE_HZ, Scene};
 use crate::sensors::Sensors;
-use crate::vehicle::Vehicle;
+use input::InputError;
 
 /// The three sensors at a rate of one's own.
 struct Sampler<'a> {

@@ -353,8 +353,8 @@ fn a_record_with_temperature_in_other_units_and_names_is_taken() {
 fn a_simulated_hour_with_table_2_reads_back() {
     use flight_core::geometry::Vec3;
     use sim_host::allan::{self, Phase, Statistic, Taus};
+    use sim_host::dynamics::Vehicle;
     use sim_host::effects::Moment;
-    use sim_host::vehicle::Vehicle;
 
     const RATE_HZ: f64 = 100.0;
     let put_in = [1.9368, 1.239, 1.239].map(|n: f64| (n / 60.0).to_radians());

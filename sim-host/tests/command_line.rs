@@ -53,23 +53,22 @@ fn cases() -> Vec<Case> {
             "an unknown effect",
             "[effects.gyro.white_noise]",
             "[effects.gyro.whitenoise]",
-            "bad.toml:28: unknown field `whitenoise`, expected one of `vibration`, `bandwidth`, `g_sensitivity`, \
+            "bad.toml:26: unknown field `whitenoise`, expected one of `vibration`, `bandwidth`, `g_sensitivity`, \
              `misalignment`, `scale_factor`, `temperature`, `constant_bias`, `turn_on_bias`, `bias_step`, \
              `rate_ramp`, `rate_random_walk`, `bias_instability`, `white_noise`, `saturation`, `quantization` (did you mean `white_noise`?)",
         ),
         scene(
             "a negative mass",
-            "vehicle = \"os4\"",
-            "vehicle = { like = \"os4\", mass_kg = -0.65 }",
-            "bad.toml: scene.vehicle.mass_kg = -0.65: must be from 0.01 to 100 kg",
+            "[flight]",
+            "[vehicle]\nmass_g = -650.0\n[flight]",
+            "bad.toml: mass_g = -650: must be from 10 to 100000 g",
         ),
         scene(
             "an unknown key of a vehicle",
-            "vehicle = \"os4\"",
-            "vehicle = { like = \"os4\", mass = 0.65 }",
-            "bad.toml:6: scene.vehicle: unknown field `mass`, expected one of `like`, `mass_kg`, `inertia_kg_m2`, \
-                 `rotor_inertia_kg_m2`, `arm_m`, `thrust_coefficient_n_s2`, `torque_coefficient_n_m_s2`, \
-                 `max_rotor_rad_s`, `leg_m`",
+            "[flight]",
+            "[vehicle]\nmass = 650.0\n[flight]",
+            "bad.toml:10: unknown field `mass`, expected one of `description`, `mass_g`, `cells`, `feet_mm`, `inertia`, \
+             `rotors`, `drag`, `esc`, `gains`, `rates`, `filters`, `battery`, `radio` (did you mean `mass_g`?)",
         ),
         scene(
             "a cutoff above Nyquist",

@@ -31,7 +31,7 @@ pub const MAGIC: [u8; 4] = *b"KSTC";
 
 /// Version of what [`Config`] consists of. A field that is added, removed or moved needs the next number: postcard
 /// has no names, and would take one field for another.
-pub const VERSION: u16 = 1;
+pub const VERSION: u16 = 2;
 
 /// The longest record, bytes.
 pub const MAX_RECORD: usize = 1024;

@@ -18,10 +18,10 @@
 
 use flight_core::geometry::Vec3;
 use flight_core::prefilter::{Biquad, Prefilter};
+use sim_host::dynamics::Vehicle;
 use sim_host::effects::Moment;
 use sim_host::scene::Scene;
 use sim_host::sensors::Sensor;
-use sim_host::vehicle::Vehicle;
 
 const HOUR_S: f64 = 3600.0;
 const DEG: f64 = std::f64::consts::PI / 180.0;

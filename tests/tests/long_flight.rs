@@ -9,9 +9,9 @@ use std::f64::consts::TAU;
 
 use flight_core::ArmState;
 use flight_core::geometry::{Quaternion, Vec3, vec3};
+use sim_host::dynamics::{GRAVITY, Mount, State, Vehicle, VehicleParams};
 use sim_host::flight::{Flight, Observer, Outcome, StepView};
 use sim_host::scene::Scene;
-use sim_host::vehicle::{GRAVITY, Mount, State, Vehicle, VehicleParams};
 
 const STRETCHES: usize = 24;
 

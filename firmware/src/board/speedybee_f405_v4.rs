@@ -57,18 +57,29 @@ use crate::tally::TALLY;
 /// The board's name.
 pub const NAME: &str = "SpeedyBee F405 V4";
 
-/// What the ESCs are driven with: to be chosen for the ESC, by the variable `KESTREL_ESC` at build time
+/// What the ESCs are driven with: as the vehicle's file says, or the variable `KESTREL_ESC` at build time
 /// (`docs/hardware.md`). The ESC that is sold with this board is specified for DShot300 and DShot600.
-const ESC: Protocol = match option_env!("KESTREL_ESC") {
-    None => Protocol::DShot300,
-    Some(name) => match name.as_bytes() {
+const ESC: Protocol = {
+    let name = match option_env!("KESTREL_ESC") {
+        None => env!("KESTREL_VEHICLE_ESC"),
+        Some(name) => name,
+    };
+    match name.as_bytes() {
         b"pwm" => Protocol::Pwm { rate_hz: 400.0 },
         b"oneshot125" => Protocol::OneShot125,
         b"dshot300" => Protocol::DShot300,
         b"dshot600" => Protocol::DShot600,
         _ => panic!("KESTREL_ESC is pwm, oneshot125, dshot300 or dshot600"),
-    },
+    }
 };
+
+/// The vehicle's configuration as a record, made of its file at build time (`build.rs`). Its name is for those who read
+/// the image.
+#[unsafe(no_mangle)]
+#[used]
+static KESTREL_VEHICLE: [u8; VEHICLE.len()] = *VEHICLE;
+const VEHICLE: &[u8; include_bytes!(concat!(env!("OUT_DIR"), "/vehicle.bin")).len()] =
+    include_bytes!(concat!(env!("OUT_DIR"), "/vehicle.bin"));
 
 /// Divider from the battery to its pin, and the pin's ADC channel.
 const BATTERY_RATIO: f32 = 11.0;
@@ -91,8 +102,7 @@ unsafe extern "C" {
     safe static STORED_CONFIG: [u8; MAX_RECORD];
 }
 
-/// What the board has and what a vehicle without a stored configuration flies with: datasheet sensitivities, and the
-/// sensors turned as they are mounted.
+/// What the board has: datasheet sensitivities, and the sensors turned as they are mounted.
 fn params() -> Params {
     let mut params = Params::default();
     params.gyro = Sensitivity { mounting: IMU_MOUNTING, ..params.gyro };
@@ -101,16 +111,20 @@ fn params() -> Params {
     params
 }
 
-/// The stored configuration; without one that is sound, the defaults without a calibration, which do not arm.
+/// The stored configuration; without one that is sound, that of the vehicle's file without a calibration, which does not
+/// arm.
 ///
 /// A function of its own, so that what it takes of the stack is free again when the rest of the board is brought up.
 #[inline(never)]
 fn config() -> Config {
     let params = params();
-    match stored::read(&STORED_CONFIG, &params) {
-        Ok(mut config) => {
-            // A record is made of a scene, which knows of no mounting.
-            config.params.mag.mounting = MAG_MOUNTING;
+    // A record is made of a vehicle's file or of a scene, which know of no mounting of the magnetometer.
+    let mounted = |mut config: Config| {
+        config.params.mag.mounting = MAG_MOUNTING;
+        config
+    };
+    match stored::read(&STORED_CONFIG, &params).map(mounted) {
+        Ok(config) => {
             defmt::info!("configuration: stored, calibrated {=bool}", config.calibration.is_some());
             config
         }
@@ -121,7 +135,9 @@ fn config() -> Config {
             } else {
                 defmt::error!("stored configuration refused: {=str}{=str}", what, field);
             }
-            Config { params, calibration: None }
+            defmt::info!("configuration: vehicle {=str}", env!("KESTREL_VEHICLE_NAME"));
+            // The build has seen to it that it is one.
+            stored::read(&KESTREL_VEHICLE, &params).map_or(Config { params, calibration: None }, mounted)
         }
     }
 }

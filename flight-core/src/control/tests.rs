@@ -144,7 +144,7 @@ impl InDouble {
         let p = &self.params;
         let rates = double(now.rates);
         let heading = f64::from(now.heading);
-        if !self.flying && now.sticks.throttle < 0.1 {
+        if !self.flying && now.sticks.throttle < p.begin_throttle {
             (self.integral, self.last_rates, self.heading_target) = ([0.0; 3], rates, heading);
             return Some(([0.0; 3], [0.0; 3]));
         }
@@ -222,7 +222,7 @@ impl InDouble {
 
 fn params() -> impl Strategy<Value = ControlParams> {
     let gains = |most: f32| [0.0..=most, 0.0..=most, 0.0..=most].prop_map(Vec3::from);
-    let limits = (0.01..=1.4_f32, 0.01..=35.0_f32, 0.01..=35.0_f32, 0.01..=35.0_f32);
+    let limits = (0.01..=1.4_f32, 0.01..=35.0_f32, 0.01..=35.0_f32, 0.01..=35.0_f32, 0.0..=0.5_f32);
     let angle = (0.0..=100.0_f32, 0.0..=100.0_f32);
     let rate = (gains(1.0e3), gains(1.0e4), gains(10.0), gains(1.0e3));
     let any = (limits, angle, rate).prop_map(|(limits, angle, rate)| ControlParams {
@@ -236,6 +236,7 @@ fn params() -> impl Strategy<Value = ControlParams> {
         rate_i: rate.1,
         rate_d: rate.2,
         max_integral_rad_s2: rate.3,
+        begin_throttle: limits.4,
     });
     prop_oneof![Just(ControlParams::OS4), any]
 }
@@ -243,8 +244,7 @@ fn params() -> impl Strategy<Value = ControlParams> {
 fn moment() -> impl Strategy<Value = Moment> {
     let marks = || prop::sample::select(&[0.0, YAW_DEADBAND, -YAW_DEADBAND, 0.9, -1.0, 1.0][..]);
     let stick = || prop_oneof![2 => -1.0..=1.0_f32, 1 => marks()];
-    let throttle =
-        prop_oneof![4 => 0.0..=1.0_f32, 1 => prop::sample::select(&[0.0, 0.04, TAKE_OFF_THROTTLE][..])];
+    let throttle = prop_oneof![4 => 0.0..=1.0_f32, 1 => prop::sample::select(&[0.0, 0.04, ControlParams::OS4.begin_throttle][..])];
     let sticks = (throttle, stick(), stick(), stick());
     let sticks = sticks.prop_map(|(throttle, roll, pitch, yaw)| Sticks { throttle, roll, pitch, yaw });
     let mode = prop_oneof![3 => Just(FlightMode::Angle), 1 => Just(FlightMode::Rate)];

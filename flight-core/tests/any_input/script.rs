@@ -112,12 +112,12 @@ pub fn numbers(config: &mut Config) -> Vec<&mut f32> {
     }
     all.push(&mut p.estimator.declination_rad);
     let a = &mut p.airframe;
-    all.extend([&mut a.thrust_coefficient, &mut a.torque_coefficient, &mut a.arm_m]);
+    all.extend([&mut a.thrust_coefficient, &mut a.torque_coefficient, &mut a.forward_m, &mut a.right_m]);
     all.extend(vector(&mut a.inertia_kg_m2));
     all.extend([&mut a.idle_rad_s, &mut a.max_rad_s]);
     let c = &mut p.control;
     all.extend([&mut c.max_tilt_rad, &mut c.max_stick_rate_rad_s, &mut c.max_yaw_rate_rad_s]);
-    all.extend([&mut c.max_tilt_rate_rad_s, &mut c.tilt_p, &mut c.heading_p]);
+    all.extend([&mut c.max_tilt_rate_rad_s, &mut c.tilt_p, &mut c.heading_p, &mut c.begin_throttle]);
     for gains in [&mut c.rate_p, &mut c.rate_i, &mut c.rate_d, &mut c.max_integral_rad_s2] {
         all.extend(vector(gains));
     }

@@ -12,8 +12,8 @@
 use std::fmt::Write as _;
 
 use super::fit::{Coefficient, Fit, Found};
-use crate::input_error::InputError;
-use crate::vehicle::GRAVITY;
+use crate::dynamics::GRAVITY;
+use input::InputError;
 
 const DEG: f64 = std::f64::consts::PI / 180.0;
 

@@ -17,8 +17,8 @@ use std::fs::File;
 use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 
-use crate::input_error::InputError;
 use crate::log::Records;
+use input::InputError;
 
 /// Bytes of samples held at once.
 const MEMORY: u64 = 1 << 30;

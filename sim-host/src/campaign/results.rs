@@ -20,8 +20,8 @@ use flight_core::ArmState;
 
 use super::{Campaign, Run};
 use crate::flight::{Crash, Outcome};
-use crate::input_error::InputError;
 use crate::output_file::OutputFile;
+use input::InputError;
 
 /// What says which campaign a row belongs to.
 const CAMPAIGN: [&str; 6] = ["scene", "scene_hash", "version", "duration_s", "first_seed", "runs"];

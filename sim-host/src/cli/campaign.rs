@@ -5,9 +5,9 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
 use std::time::Instant;
 
+use input::InputError;
 use serde_json::json;
 use sim_host::campaign::{self, Campaign, Run, Shard, Summary};
-use sim_host::input_error::InputError;
 use sim_host::interrupt;
 use sim_host::output_file::{OutputFile, spare};
 use sim_host::scene::Scene;

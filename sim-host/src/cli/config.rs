@@ -5,8 +5,8 @@ use std::path::Path;
 
 use flight_core::Config;
 use flight_core::calibration::Calibration;
+use input::InputError;
 use serde_json::json;
-use sim_host::input_error::InputError;
 use sim_host::output_file::{OutputFile, spare};
 use stored_config::{MAX_RECORD, VERSION, encode};
 
@@ -17,7 +17,7 @@ const ADDRESS: u32 = 0x0800_4000;
 const CHIP: &str = "STM32F405RGTx";
 
 pub fn run(arguments: &ConfigArguments) -> Result<Answer, InputError> {
-    let scene = load(&arguments.scene, None, None)?;
+    let scene = load(&arguments.scene, arguments.vehicle.as_deref(), None, None)?;
     spare(&[Path::new(&arguments.scene)], "--out", &arguments.out)?;
     let mut buffer = [0; MAX_RECORD];
     let record = encode(&scene.config, &mut buffer)

@@ -3,8 +3,8 @@
 use std::io::Write as _;
 use std::path::PathBuf;
 
+use input::InputError;
 use sim_host::cost::{self, Options};
-use sim_host::input_error::InputError;
 use sim_host::output_file::OutputFile;
 
 use super::{Answer, RECORDINGS, progress};

@@ -4,9 +4,9 @@ use std::fmt::Write as _;
 use std::path::Path;
 use std::time::Instant;
 
+use input::InputError;
 use sim_host::flight::summary::{describe, to_json, verdict};
 use sim_host::flight::{Flight, FlightLog};
-use sim_host::input_error::InputError;
 use sim_host::output_file::spare;
 use sim_host::report::{self, Recorder};
 use sim_host::scene::Scene;
@@ -15,7 +15,7 @@ use super::progress::FlightProgress;
 use super::{Answer, FlyArguments, campaign, load};
 
 pub fn run(arguments: &FlyArguments) -> Result<Answer, InputError> {
-    let scene = load(&arguments.scene, arguments.seed, arguments.duration)?;
+    let scene = load(&arguments.scene, arguments.vehicle.as_deref(), arguments.seed, arguments.duration)?;
     // A file of results is one of a campaign, even if that is a single run.
     if arguments.runs > 1 || arguments.out.is_some() {
         campaign::fly(&scene, arguments)

@@ -5,11 +5,11 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
+use input::InputError;
 use serde_json::{Value, json};
 use sim_host::flight::{FlightLog, summary};
 use sim_host::hil::{self, Account, Faults, Flown, LinkError, Received, Report, Serial, Wire};
 use sim_host::image::image_sha256;
-use sim_host::input_error::InputError;
 use sim_host::interrupt;
 use sim_host::output_file::spare;
 use sim_host::report::{self, Recorder};
@@ -19,7 +19,7 @@ use super::progress::FlightProgress;
 use super::{Answer, HilArguments, load};
 
 pub fn run(arguments: &HilArguments) -> Result<Answer, InputError> {
-    let scene = load(&arguments.scene, arguments.seed, arguments.duration)?;
+    let scene = load(&arguments.scene, arguments.vehicle.as_deref(), arguments.seed, arguments.duration)?;
     match &arguments.board.serial {
         Some(port) => {
             let mut serial = Serial::open(port)?;

@@ -2,8 +2,8 @@
 
 use std::fmt::Write as _;
 
+use input::InputError;
 use serde_json::json;
-use sim_host::input_error::InputError;
 use sim_host::plan;
 use sim_host::scene::{BUILT_IN, Scene};
 
@@ -28,7 +28,7 @@ pub fn scenes() -> Result<Answer, InputError> {
 }
 
 pub fn plan(arguments: &PlanArguments) -> Result<Answer, InputError> {
-    let scene = load(&arguments.scene, None, None)?;
+    let scene = load(&arguments.scene, arguments.vehicle.as_deref(), None, None)?;
     let costs = plan::measure(&scene);
     // Of the run: what a tolerance adds is not left out.
     let of_run = scene.of_run(scene.seed).0;

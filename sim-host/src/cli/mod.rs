@@ -10,15 +10,16 @@ mod listing;
 mod paper;
 mod progress;
 mod recordings;
+mod vehicle;
 
 use std::num::{NonZeroU16, NonZeroU32};
 use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand, ValueEnum};
+use input::InputError;
 use serde_json::Value;
 use sim_host::campaign::Shard;
-use sim_host::input_error::InputError;
 use sim_host::{interrupt, log, output_file};
 
 /// Where recordings are looked for: the directory that the tests take theirs from.
@@ -62,6 +63,8 @@ enum Command {
     Paper(paper::PaperArguments),
     /// Write a scene's configuration of the flight controller as the record that a flight board reads at start
     Config(ConfigArguments),
+    /// Show what a vehicle file means: what follows from it, its loops, what to look after; and propose gains
+    Vehicle(vehicle::VehicleArguments),
     /// List the built-in scenes and their effects
     Scenes,
 }
@@ -71,6 +74,9 @@ struct FlyArguments {
     /// A built-in scene or a scene file
     #[arg(default_value = "hover")]
     scene: String,
+    /// The vehicle, built-in or a file, instead of the scene's
+    #[arg(long, value_name = "NAME|F.toml")]
+    vehicle: Option<String>,
     /// Seed of every random stream, instead of the scene's
     #[arg(long, value_name = "N")]
     seed: Option<u64>,
@@ -117,6 +123,9 @@ struct MergeArguments {
 struct HilArguments {
     /// A built-in scene or a scene file
     scene: String,
+    /// The vehicle, built-in or a file, instead of the scene's
+    #[arg(long, value_name = "NAME|F.toml")]
+    vehicle: Option<String>,
     #[command(flatten)]
     board: BoardArguments,
     /// The image for QEMU; without it, it is built from the sources
@@ -171,6 +180,9 @@ fn not_negative(text: &str) -> Result<f64, String> {
 struct SenseArguments {
     /// A built-in scene or a scene file
     scene: String,
+    /// The vehicle, built-in or a file, instead of the scene's
+    #[arg(long, value_name = "NAME|F.toml")]
+    vehicle: Option<String>,
     /// Where to write the log; without it the samples are only generated
     #[arg(long, value_name = "F.csv")]
     out: Option<PathBuf>,
@@ -189,12 +201,18 @@ struct SenseArguments {
 struct PlanArguments {
     /// A built-in scene or a scene file
     scene: String,
+    /// The vehicle, built-in or a file, instead of the scene's
+    #[arg(long, value_name = "NAME|F.toml")]
+    vehicle: Option<String>,
 }
 
 #[derive(clap::Args)]
 struct ConfigArguments {
     /// A built-in scene or a scene file
     scene: String,
+    /// The vehicle, built-in or a file, instead of the scene's
+    #[arg(long, value_name = "NAME|F.toml")]
+    vehicle: Option<String>,
     /// The record
     #[arg(long, value_name = "F.bin")]
     out: PathBuf,
@@ -273,6 +291,7 @@ pub fn run() -> ExitCode {
         Command::Cost(a) => cost::run(a),
         Command::Paper(a) => paper::run(a),
         Command::Config(a) => config::run(a),
+        Command::Vehicle(a) => vehicle::run(a),
         Command::Scenes => listing::scenes(),
     };
     match answer {
@@ -296,10 +315,11 @@ fn refuse(error: &InputError) -> ExitCode {
 /// The scene of an argument, with its overrides.
 fn load(
     name: &str,
+    vehicle: Option<&str>,
     seed: Option<u64>,
     duration_s: Option<f64>,
 ) -> Result<sim_host::scene::Scene, InputError> {
-    let mut scene = sim_host::scene::Scene::load(name)?;
+    let mut scene = sim_host::scene::Scene::load_with_vehicle(name, vehicle)?;
     if let Some(seed) = seed {
         scene.seed = seed;
     }

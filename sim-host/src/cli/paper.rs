@@ -3,8 +3,8 @@
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
+use input::InputError;
 use serde_json::{Value, json};
-use sim_host::input_error::InputError;
 use sim_host::paper::{self, Exhibit};
 
 use super::{Answer, RECORDINGS, progress};

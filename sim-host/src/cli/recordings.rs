@@ -3,8 +3,8 @@
 use std::path::Path;
 use std::time::Instant;
 
+use input::InputError;
 use serde_json::json;
-use sim_host::input_error::InputError;
 use sim_host::log::{Axes, LogWriter};
 use sim_host::output_file::spare;
 use sim_host::{estimate, sense};
@@ -12,7 +12,7 @@ use sim_host::{estimate, sense};
 use super::{Answer, EstimateArguments, SenseArguments, load};
 
 pub fn sense(arguments: &SenseArguments) -> Result<Answer, InputError> {
-    let scene = load(&arguments.scene, arguments.seed, arguments.duration)?;
+    let scene = load(&arguments.scene, arguments.vehicle.as_deref(), arguments.seed, arguments.duration)?;
     if let Some(out) = &arguments.out {
         spare(&[Path::new(&arguments.scene)], "--out", out)?;
     }

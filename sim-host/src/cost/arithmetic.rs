@@ -8,7 +8,7 @@ use twofloat::TwoFloat;
 
 use super::timing::quickest;
 use super::{Axis, Options, Progress, Setting, Study, m4};
-use crate::input_error::InputError;
+use input::InputError;
 
 /// A function of one number, or of two.
 type Function = fn(f32, f32) -> f64;

@@ -14,7 +14,7 @@ use super::integrator::top::{Top, tops};
 use super::timing::quickest;
 use super::{Axis, Options, Progress, Setting, Study, m4};
 use crate::attitude_error::AttitudeError;
-use crate::input_error::InputError;
+use input::InputError;
 
 /// Time integrated, s.
 const SECONDS: u32 = 10;

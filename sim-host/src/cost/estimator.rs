@@ -20,9 +20,9 @@ use super::{Axis, Options, Progress, Setting, Study, m4};
 use crate::attitude_error::{AttitudeError, AttitudeRmse};
 use crate::estimate::{self, GyroAtRest, Request, Sample};
 use crate::flight::{Flight, Observer, StepView};
-use crate::input_error::InputError;
 use crate::log::{AccelSign, Axes, Frame, Log};
 use crate::scene::Scene;
+use input::InputError;
 
 /// Recordings of BROAD (Laidig, Caruso, Cereatti, Seel, *Data* 6(7):72, 2021), and what the plots call them.
 const RECORDINGS: [(&str, &str); 4] = [

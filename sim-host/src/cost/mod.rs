@@ -33,8 +33,8 @@ use std::path::PathBuf;
 
 use serde_json::{Value, json};
 
-use crate::input_error::InputError;
-use crate::scene::check;
+use input::InputError;
+use input::check;
 
 pub use page::{page, plot};
 pub use table::{csv, text, timing_csv};

@@ -12,11 +12,11 @@ use flight_core::sample::{Battery, Health, Input};
 
 use super::{Axis, Options, Progress, Setting, Study, m4};
 use crate::attitude_error::{AttitudeError, AttitudeRmse};
+use crate::dynamics::Vehicle;
 use crate::flight::Autopilot;
-use crate::input_error::InputError;
 use crate::pilot::{FRAME_RATE_HZ, Pilot};
 use crate::scene::{DEFAULT_RATE_HZ, MAG_RATE_HZ, Scene};
-use crate::vehicle::Vehicle;
+use input::InputError;
 
 /// Steps of the world in a second.
 const WORLD_HZ: u32 = 8000;

@@ -5,9 +5,9 @@
 
 use super::{Axis, Options, Progress, Setting, Study};
 use crate::flight::Flight;
-use crate::input_error::InputError;
 use crate::plan;
 use crate::scene::Scene;
+use input::InputError;
 
 /// Attitude error over the seeds, ° RMSE.
 fn outcome(scene: &Scene, seeds: u64) -> f64 {

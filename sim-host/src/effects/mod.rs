@@ -29,8 +29,8 @@ use flight_core::geometry::Vec3;
 /// out, to measure what looking costs a scene that names none: `sim-host/benches/cost-of-nothing`.
 pub(crate) const OPTIONAL: bool = !cfg!(feature = "bare");
 
-use crate::input_error::InputError;
-use crate::vehicle::{State, VehicleParams};
+use crate::dynamics::{State, VehicleParams};
+use input::InputError;
 
 /// What an effect may know when it is built.
 #[derive(Clone, Copy, Debug)]

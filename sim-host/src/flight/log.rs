@@ -5,9 +5,9 @@ use std::path::Path;
 use flight_core::geometry::{Vec3, vec3};
 
 use super::{Observer, StepView};
-use crate::input_error::InputError;
 use crate::log::{LogRow, LogWriter};
 use crate::scene::Scene;
+use input::InputError;
 
 /// Columns after those of every log.
 const FURTHER: [&str; 11] = [

@@ -6,7 +6,7 @@ use std::io::{IsTerminal as _, stderr};
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use crate::input_error::InputError;
+use input::InputError;
 
 /// The microcontroller's architecture, as compilers call it.
 const TARGET: &str = "thumbv7em-none-eabihf";

@@ -24,7 +24,7 @@ use serde_json::{Value, json};
 use super::Account;
 use super::link::{Patience, Wire};
 use super::qemu::Qemu;
-use crate::input_error::InputError;
+use input::InputError;
 
 /// The emulated chip's RAM.
 const RAM: Range<u32> = 0x2000_0000..0x2002_0000;

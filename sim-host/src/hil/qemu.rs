@@ -26,7 +26,7 @@ use tempfile::TempDir;
 
 use super::Account;
 use super::link::{Patience, Wire};
-use crate::input_error::InputError;
+use input::InputError;
 
 /// The emulator.
 const PROGRAM: &str = "qemu-system-arm";

@@ -11,7 +11,7 @@ use std::time::Duration;
 use serial2::SerialPort;
 
 use super::link::{Patience, Wire};
-use crate::input_error::InputError;
+use input::InputError;
 
 /// Bits per second, 8 data bits, no parity, one stop bit. A step and its answer are at most 120 bytes: 1.3 ms.
 pub const BAUD: u32 = 921_600;

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use csv::ByteRecord;
 
 use super::{Axes, COLUMNS, LogRow};
-use crate::input_error::InputError;
+use input::InputError;
 
 /// Largest time, s: beyond it a double no longer tells microseconds apart (2⁵³ µs).
 const LARGEST_TIME_S: f64 = 9.0e9;

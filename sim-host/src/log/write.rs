@@ -5,8 +5,8 @@ use std::io::Write as _;
 use std::path::Path;
 
 use super::{COLUMNS, LogRow};
-use crate::input_error::InputError;
 use crate::output_file::OutputFile;
+use input::InputError;
 
 /// Writes a log in the project's axes. The file appears with [`finish`](Self::finish).
 ///

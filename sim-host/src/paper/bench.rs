@@ -3,11 +3,11 @@
 use flight_core::geometry::Vec3;
 
 use crate::allan::{self, Fit, Phase, Point, Statistic, Taus};
+use crate::dynamics::{GRAVITY, Vehicle};
 use crate::effects::Moment;
-use crate::input_error::InputError;
 use crate::scene::Scene;
 use crate::sensors::Sensor;
-use crate::vehicle::{GRAVITY, Vehicle};
+use input::InputError;
 
 /// Level and at rest.
 pub const GRAVITY_UP: Vec3<f64> = Vec3 { x: 0.0, y: 0.0, z: -GRAVITY };

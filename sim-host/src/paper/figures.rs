@@ -8,10 +8,10 @@ use super::bench::{self, GRAVITY_UP};
 use super::{Exhibit, numbers};
 use crate::allan::{Coefficient, Fit, Point, plot};
 use crate::chart::{self, Chart, Panel, Stroke, TIME, colour, log_log};
+use crate::dynamics::{GRAVITY, Vehicle};
 use crate::effects::Moment;
-use crate::input_error::InputError;
 use crate::scene::Scene;
-use crate::vehicle::{GRAVITY, Vehicle};
+use input::InputError;
 
 const WIDTH: f64 = 920.0;
 const DEG: f64 = std::f64::consts::PI / 180.0;

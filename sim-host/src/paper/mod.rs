@@ -15,8 +15,8 @@ use std::io::Write as _;
 use std::path::Path;
 
 use crate::chart::{self, escaped};
-use crate::input_error::InputError;
 use crate::output_file::OutputFile;
+use input::InputError;
 
 /// A table or a figure.
 #[derive(Clone, Debug)]

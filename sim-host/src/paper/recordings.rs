@@ -9,8 +9,8 @@ use super::spectrum::density;
 use super::{Exhibit, numbers, tabulated};
 use crate::allan::{Coefficient, Point, plot};
 use crate::chart::{self, Chart, Panel, Stroke, TIME, colour, log_log};
-use crate::input_error::InputError;
 use crate::log::{AccelSign, Axes, Frame, Log, LogRow};
+use input::InputError;
 
 /// Rest that is shown, s.
 const REST_S: f64 = 20.0;

@@ -3,8 +3,8 @@
 use super::bench::{self, GRAVITY_UP};
 use super::{Exhibit, tabulated};
 use crate::allan::{Coefficient, plot::short};
-use crate::input_error::InputError;
 use flight_core::geometry::Vec3;
+use input::InputError;
 
 const HOUR_S: f64 = 3600.0;
 const RATE_HZ: f64 = 100.0;

@@ -8,10 +8,10 @@ use flight_core::estimator::{EstimatorParams, Method, RobustParams, Weight};
 use super::figures;
 use super::recorder::Recorder;
 use crate::chart::{self, escaped};
+use crate::dynamics::GRAVITY;
 use crate::flight::Outcome;
 use crate::pilot::{Base, FRAME_RATE_HZ, PilotScript, Plan};
 use crate::scene::{DEFAULT_RATE_HZ, MAG_RATE_HZ, Scene};
-use crate::vehicle::GRAVITY;
 
 pub(crate) const STYLE: &str = include_str!("style.css");
 
@@ -109,7 +109,7 @@ fn simulated(html: &mut String, scene: &Scene, seed: u64) {
         &format!(
             "{} kg, {} m from centre to rotor, thrust to weight {:.2}; {mount}",
             v.mass_kg,
-            v.arm_m,
+            v.arm_m(),
             v.max_thrust_n() / (v.mass_kg * GRAVITY)
         ),
     );

@@ -17,9 +17,9 @@ use crate::effects::vehicle::{
     MotorFailure, MotorLag, QuadraticDrag, RotorAcceleration, RotorDrag, RotorGyroscopic, VehicleEffect,
 };
 use crate::effects::{BoxedSensorEffect, Build, Recipe};
-use crate::input_error::InputError;
 use crate::scene::DEFAULT_RATE_HZ;
 use crate::sensors::Converter;
+use input::InputError;
 
 /// A table of effects: one optional key each. The order of the fields is the order of application.
 macro_rules! effect_table {

@@ -17,7 +17,7 @@ use super::{Named, check};
 use crate::effects::delivery::{
     BoxedDelivery, Counts, Dead, InvalidCode, RepeatedSample, Spike, StuckAxis, Window,
 };
-use crate::input_error::InputError;
+use input::InputError;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "snake_case")]

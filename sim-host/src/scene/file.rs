@@ -1,18 +1,15 @@
 //! The tables and keys of a scene file, with their units in the keys.
 
-use flight_core::geometry::Vec3;
 use flight_core::rc::FlightMode;
 use serde::Deserialize;
 
-use super::check::{unknown, within};
 use super::effects::Effects;
 use super::faults::Fault;
-use super::stiffness::check_legs;
 use super::tolerances::Tolerances;
 use crate::earth_field::Place;
-use crate::input_error::InputError;
 use crate::pilot::{Base, Move, PilotScript, Plan};
-use crate::vehicle::VehicleParams;
+use input::InputError;
+use input::check::within;
 
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -21,6 +18,9 @@ pub(super) struct SceneFile {
     #[serde(default, rename = "include")]
     _include: Option<String>,
     pub scene: SceneTable,
+    /// What of the vehicle's file this scene alters; already taken out when this is read.
+    #[serde(default, rename = "vehicle")]
+    _vehicle: Option<toml::Table>,
     #[serde(default)]
     pub flight: Flight,
     pub pilot: Option<Pilot>,
@@ -40,7 +40,9 @@ pub(super) struct SceneTable {
     pub description: String,
     pub duration_s: f64,
     pub seed: u64,
-    pub vehicle: Vehicle,
+    /// Looked up before this is read.
+    #[serde(rename = "vehicle")]
+    _vehicle: String,
     /// Looked up before this is read: its figures complete the effects.
     #[serde(rename = "imu")]
     _imu: String,
@@ -78,101 +80,36 @@ pub(super) enum MountName {
     BallJoint,
 }
 
-/// `vehicle = "os4"`, or a table.
-#[derive(Clone, Debug, Deserialize)]
-#[serde(try_from = "toml::Value")]
-pub(super) enum Vehicle {
-    Named(String),
-    Table(VehicleTable),
-}
-
-impl TryFrom<toml::Value> for Vehicle {
-    type Error = String;
-    fn try_from(value: toml::Value) -> Result<Self, String> {
-        match value {
-            toml::Value::String(name) => Ok(Self::Named(name)),
-            toml::Value::Table(_) => {
-                value.try_into().map(Self::Table).map_err(|e| format!("scene.vehicle: {}", e.message()))
-            }
-            _ => Err("scene.vehicle: must be a name or a table".into()),
-        }
-    }
-}
-
-/// An inline vehicle: what it does not say is as in the vehicle that it is `like`.
-#[derive(Clone, Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub(super) struct VehicleTable {
-    like: String,
-    mass_kg: Option<f64>,
-    inertia_kg_m2: Option<[f64; 3]>,
-    rotor_inertia_kg_m2: Option<f64>,
-    arm_m: Option<f64>,
-    thrust_coefficient_n_s2: Option<f64>,
-    torque_coefficient_n_m_s2: Option<f64>,
-    max_rotor_rad_s: Option<f64>,
-    leg_m: Option<f64>,
-}
-
-fn named_vehicle(name: &str) -> Result<VehicleParams, InputError> {
-    match name {
-        "os4" => Ok(VehicleParams::OS4),
-        other => Err(unknown("scene.vehicle", other, ["os4"])),
-    }
-}
-
-impl Vehicle {
-    pub fn build(&self) -> Result<VehicleParams, InputError> {
-        let table = match self {
-            Self::Named(name) => return named_vehicle(name),
-            Self::Table(table) => table,
-        };
-        let like = named_vehicle(&table.like)?;
-        let params = VehicleParams {
-            mass_kg: table.mass_kg.unwrap_or(like.mass_kg),
-            inertia_kg_m2: table.inertia_kg_m2.map_or(like.inertia_kg_m2, Vec3::from),
-            rotor_inertia_kg_m2: table.rotor_inertia_kg_m2.unwrap_or(like.rotor_inertia_kg_m2),
-            arm_m: table.arm_m.unwrap_or(like.arm_m),
-            thrust_coefficient: table.thrust_coefficient_n_s2.unwrap_or(like.thrust_coefficient),
-            torque_coefficient: table.torque_coefficient_n_m_s2.unwrap_or(like.torque_coefficient),
-            max_rad_s: table.max_rotor_rad_s.unwrap_or(like.max_rad_s),
-            leg_m: table.leg_m.unwrap_or(like.leg_m),
-        };
-        within("scene.vehicle.mass_kg", params.mass_kg, 0.01, 100.0, "kg")?;
-        for inertia in <[f64; 3]>::from(params.inertia_kg_m2) {
-            within("scene.vehicle.inertia_kg_m2", inertia, 1e-6, 100.0, "kg m²")?;
-        }
-        within("scene.vehicle.rotor_inertia_kg_m2", params.rotor_inertia_kg_m2, 0.0, 1.0, "kg m²")?;
-        within("scene.vehicle.arm_m", params.arm_m, 0.02, 5.0, "m")?;
-        within("scene.vehicle.thrust_coefficient_n_s2", params.thrust_coefficient, 1e-9, 0.1, "N s²")?;
-        within("scene.vehicle.torque_coefficient_n_m_s2", params.torque_coefficient, 1e-11, 0.1, "N m s²")?;
-        within("scene.vehicle.max_rotor_rad_s", params.max_rad_s, 65.0, 1e4, "rad/s")?;
-        within("scene.vehicle.leg_m", params.leg_m, 0.01, 1.0, "m")?;
-        check_legs(&params)?;
-        Ok(params)
-    }
-}
-
 /// `[flight]`: what the flight controller is configured with.
-#[derive(Clone, Debug, Deserialize)]
+#[derive(Clone, Debug, Default, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Flight {
-    pub estimator: String,
-    /// Absent: no prefilter.
-    pub prefilter_hz: Option<f64>,
+    /// Absent: the vehicle's.
+    pub estimator: Option<String>,
+    /// Absent: the vehicle's.
+    pub prefilter_hz: Option<Cutoff>,
     /// Added to the magnetic heading, positive east.
     #[serde(default)]
     pub declination_deg: Declination,
     pub calibration: Option<CalibrationTable>,
 }
 
-impl Default for Flight {
-    fn default() -> Self {
-        Self {
-            estimator: "flight".into(),
-            prefilter_hz: Some(30.0),
-            declination_deg: Declination::default(),
-            calibration: None,
+/// `prefilter_hz = 30.0`, or `"none"`.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(try_from = "toml::Value")]
+pub(super) enum Cutoff {
+    Hz(f64),
+    None,
+}
+
+impl TryFrom<toml::Value> for Cutoff {
+    type Error = &'static str;
+    fn try_from(value: toml::Value) -> Result<Self, Self::Error> {
+        match value {
+            toml::Value::Float(hz) => Ok(Self::Hz(hz)),
+            toml::Value::Integer(hz) => Ok(Self::Hz(hz as f64)),
+            toml::Value::String(name) if name == "none" => Ok(Self::None),
+            _ => Err("flight.prefilter_hz: must be a number of Hz or \"none\""),
         }
     }
 }

@@ -8,11 +8,11 @@ use std::path::Path;
 use serde::Deserialize;
 use toml::de::{DeTable, DeValue};
 
-use super::check;
 use super::effects::Effects;
-use super::source::{self, ReadText, Sources};
-use crate::input_error::InputError;
 use crate::sensors::Converter;
+use input::InputError;
+use input::check;
+use input::layers::{Layers, ReadText};
 
 macro_rules! presets {
     ($($name:literal),+ $(,)?) => {
@@ -22,14 +22,6 @@ macro_rules! presets {
 
 /// The built-in presets.
 pub const PRESETS: &[(&str, &str)] = presets!["paper", "icm-42688-p", "mpu-6050", "bmi088", "adis16448"];
-
-/// What `scene.imu` says, if the table says it.
-pub fn name_in(scene: &DeTable<'_>) -> Option<String> {
-    match scene.get("scene")?.get_ref() {
-        DeValue::Table(table) => source::string(table, "imu"),
-        _ => None,
-    }
-}
 
 /// Name and text of a built-in preset, or of a file beside the scene.
 pub fn find(imu: &str, scene: &Path, read: ReadText) -> Result<(String, String), InputError> {
@@ -82,12 +74,12 @@ struct MagChip {
 impl ImuPreset {
     /// Reads and checks a preset; returns with it the table of its effects.
     pub fn read<'a>(
-        sources: &mut Sources<'a>,
+        layers: &mut Layers<'a>,
         name: &str,
         text: &'a str,
     ) -> Result<(Self, DeTable<'a>), InputError> {
-        let table = sources.add(name, text)?;
-        let preset: Self = sources.read(table.clone())?;
+        let table = layers.add(name, text)?;
+        let preset: Self = layers.read(table.clone())?;
         for (field, value) in [
             ("gyro.lsb_per_deg_s", preset.gyro.lsb_per_deg_s),
             ("accel.lsb_per_g", preset.accel.lsb_per_g),
@@ -107,7 +99,7 @@ impl ImuPreset {
     pub fn converters(&self) -> [Converter; 3] {
         [
             Converter::new(std::f64::consts::PI / 180.0 / self.gyro.lsb_per_deg_s),
-            Converter::new(crate::vehicle::GRAVITY / self.accel.lsb_per_g),
+            Converter::new(crate::dynamics::GRAVITY / self.accel.lsb_per_g),
             Converter::new(100.0 / self.mag.lsb_per_gauss),
         ]
     }

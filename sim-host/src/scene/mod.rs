@@ -5,12 +5,10 @@
 //! that names the nearest one.
 
 mod built_in;
-pub(crate) mod check;
 mod effects;
 mod faults;
 mod file;
 mod imu;
-mod source;
 mod stiffness;
 mod tolerances;
 
@@ -20,28 +18,30 @@ use std::path::Path;
 use flight_core::FlightController;
 use flight_core::calibration::{Calibration, Sensitivity, SensorCalibration};
 use flight_core::config::{Config, Params};
+use flight_core::control::ControlParams;
 use flight_core::estimator::EstimatorParams;
 use flight_core::geometry::{Mat3, Vec3, vec3};
-use flight_core::mixer::Airframe;
 use flight_core::prefilter::MAX_RATE_PER_CUTOFF;
 use flight_core::sample::RcFrame;
 
+use crate::dynamics::{Ground, Mount, VehicleParams};
 use crate::earth_field::{Place, declination_rad};
 use crate::effects::Build;
 use crate::effects::delivery::{BoxedDelivery, ImuEffect, MagEffect};
 use crate::effects::vehicle::{ThrustShares, VehicleEffect};
-use crate::input_error::InputError;
 use crate::pilot::{Knowledge, PilotScript};
 use crate::sensors::{Converter, Sensor, Sensors};
-use crate::vehicle::{GRAVITY, Ground, Mount, VehicleParams};
+use input::layers::{Layers, complete, merge};
+use input::{InputError, check, layers};
 
 use imu::ImuPreset;
-use source::{Sources, complete, merge};
+
 use toml::Spanned;
-use toml::de::DeValue;
+use toml::de::{DeTable, DeValue};
+use vehicle::Vehicle;
 
 pub use built_in::{BUILT_IN, BuiltIn};
-pub use source::ReadText;
+pub use input::layers::ReadText;
 pub use tolerances::Drawn;
 
 /// Steps of the simulation, and samples of gyroscope and accelerometer, per second.
@@ -68,7 +68,7 @@ impl Included {
     fn of(name: &str, text: &str, read: ReadText) -> Result<Vec<Self>, InputError> {
         let mut list: Vec<Self> = Vec::new();
         let (mut name, mut text) = (name.to_owned(), text.to_owned());
-        while let Some(next) = source::text_at(&name, &text, "include")? {
+        while let Some(next) = layers::text_at(&name, &text, "include")? {
             let found = if let Some(scene) = BUILT_IN.iter().find(|scene| scene.name == next) {
                 Self { name: next, text: scene.text.into() }
             } else {
@@ -112,8 +112,10 @@ pub struct Scene {
     pub duration_s: f64,
     /// Seed of every random stream.
     pub seed: u64,
-    /// The vehicle.
+    /// The vehicle that flies: `design`'s, but for what tolerances have drawn.
     pub vehicle: VehicleParams,
+    /// The vehicle of the file, with what the scene alters.
+    pub design: Vehicle,
     /// Whether it stands on a ball joint.
     pub ball_joint: bool,
     /// Whether a tilt above 90° is meant.
@@ -156,9 +158,34 @@ impl Scene {
             .field("SCENE")
             .value(name_or_path));
         }
-        let text = source::text_of(path)
+        let text = layers::text_of(path)
             .map_err(|error| InputError::new(format!("cannot be read: {error}")).file(path))?;
         Self::parse(name_or_path, &text)
+    }
+
+    /// [`Scene::load`], flown by another vehicle: a built-in one by name, or a vehicle file by path.
+    ///
+    /// # Errors
+    /// As there, and anything wrong with the vehicle.
+    pub fn load_with_vehicle(name_or_path: &str, vehicle: Option<&str>) -> Result<Self, InputError> {
+        let scene = Self::load(name_or_path)?;
+        let Some(vehicle) = vehicle else { return Ok(scene) };
+        // As paths from here, wherever the scene is.
+        let absolute = |path: &str, built_in: bool| match std::path::absolute(path) {
+            Ok(absolute) if !built_in => absolute.display().to_string(),
+            _ => path.to_owned(),
+        };
+        let include = absolute(name_or_path, BUILT_IN.iter().any(|scene| scene.name == name_or_path));
+        let is_built_in = vehicle::BUILT_IN.iter().any(|(name, _)| *name == vehicle);
+        if !is_built_in && !vehicle.ends_with(".toml") {
+            let names = vehicle::BUILT_IN.iter().map(|(name, _)| *name);
+            return Err(check::unknown("--vehicle", vehicle, names));
+        }
+        let mut altered = toml::Table::new();
+        altered.insert("include".into(), include.into());
+        let vehicle = absolute(vehicle, is_built_in);
+        altered.insert("scene".into(), toml::Table::from_iter([("vehicle".into(), vehicle.into())]).into());
+        Self::parse(&scene.name, &altered.to_string())
     }
 
     /// Reads a scene from TOML; `name` is what errors and results call it.
@@ -166,7 +193,7 @@ impl Scene {
     /// # Errors
     /// Anything wrong in the text, in the scene it includes or in its sensors' preset.
     pub fn parse(name: &str, text: &str) -> Result<Self, InputError> {
-        Self::parse_with(name, text, &source::text_of)
+        Self::parse_with(name, text, &layers::text_of)
     }
 
     /// [`Scene::parse`], with the files that the scene names read by `read`.
@@ -178,40 +205,61 @@ impl Scene {
             return Err(InputError::new("is empty; a scene needs a [scene] table").file(name));
         }
         let below = Included::of(name, text, read)?;
-        // Declared before the sources that borrow them.
+        // Declared before the layers that borrow them.
         let (preset_name, preset_text);
-        let mut sources = Sources::default();
-        let mut table = sources.add(name, text)?;
+        let mut layers = Layers::default();
+        let mut table = layers.add(name, text)?;
         for included in &below {
-            let under = sources.add(&included.name, &included.text)?;
+            let under = layers.add(&included.name, &included.text)?;
             table = merge(table, under);
         }
-        let imu = imu::name_in(&table).unwrap_or_default();
+        let vehicle_name = string_in(&table, "vehicle").unwrap_or_default();
+        let (vehicle_layer, vehicle_text, figures_text);
+        (vehicle_layer, vehicle_text) = vehicle::find(&vehicle_name, Path::new(name), read)
+            .map_err(|error| error.file(name).field("scene.vehicle").value(&vehicle_name))?;
+        let mut vehicle_table = layers.add(&vehicle_layer, &vehicle_text)?;
+        let altered = table.remove("vehicle").map(Spanned::into_inner);
+        let named = if altered.is_some() { name } else { &vehicle_layer };
+        if let Some(DeValue::Table(altered)) = altered {
+            vehicle_table = merge(altered, vehicle_table);
+        } else if altered.is_some() {
+            return Err(InputError::new("must be a table; the vehicle's name stands in [scene]")
+                .file(name)
+                .field("vehicle"));
+        }
+        let design = Vehicle::of_table(&vehicle_name, &layers, vehicle_table)
+            .map_err(|error| if error.has_file() { error } else { error.file(named) })?;
+        figures_text = figures(&design);
+        let own_figures = layers.add(&format!("figures of {vehicle_layer}"), &figures_text)?;
+        let imu = string_in(&table, "imu").unwrap_or_default();
         (preset_name, preset_text) = imu::find(&imu, Path::new(name), read)?;
-        let (preset, figures) = ImuPreset::read(&mut sources, &preset_name, &preset_text)?;
+        let (preset, figures) = ImuPreset::read(&mut layers, &preset_name, &preset_text)?;
         if let Some(DeValue::Table(effects)) = table.get_mut("effects").map(Spanned::get_mut) {
             complete(effects, &figures);
+            complete(effects, &own_figures);
         }
-        let text_hash = sources.hash();
-        let file: file::SceneFile = sources.read(table)?;
-        Self::build(name, file, &preset, text_hash).map_err(|error| error.file(name))
+        let text_hash = layers.hash();
+        let file: file::SceneFile = layers.read(table)?;
+        Self::build(name, file, design, &preset, text_hash).map_err(|error| error.file(name))
     }
 
     fn build(
         name: &str,
         file: file::SceneFile,
+        design: Vehicle,
         preset: &ImuPreset,
         text_hash: u64,
     ) -> Result<Self, InputError> {
         let file::SceneFile { scene, flight, pilot, effects, faults, tolerances, .. } = file;
-        let vehicle = scene.vehicle.build()?;
+        let vehicle = design.params;
+        stiffness::check_legs(&vehicle)?;
         effects.validate()?;
         stiffness::check_drag(&effects.vehicle, &vehicle)?;
         faults.iter().try_for_each(faults::Fault::validate)?;
         let field_ut = scene.place.map_or(Place::ANKARA, file::PlaceTable::build).field_ut()?;
         let ball_joint = scene.mount == file::MountName::BallJoint;
         let pilot = pilot.map(|p| p.build(ball_joint)).transpose()?;
-        let mut config = flight.build(&vehicle, preset, field_ut)?;
+        let mut config = flight.build(&design, preset, field_ut)?;
         let converters = preset.converters();
         config.params.stuck_check = effects.stuck_check(&converters);
         let controller =
@@ -222,6 +270,7 @@ impl Scene {
             duration_s: scene.duration_s,
             seed: scene.seed,
             vehicle,
+            design,
             ball_joint,
             aerobatic: scene.aerobatic,
             pilot,
@@ -238,6 +287,18 @@ impl Scene {
         built.set_duration(scene.duration_s)?;
         built.tolerances.validate(&built)?;
         Ok(built)
+    }
+
+    /// Flies with other gains and limits.
+    ///
+    /// # Errors
+    /// One of them is out of range.
+    pub fn set_control(&mut self, control: ControlParams) -> Result<(), InputError> {
+        self.config.params.control = control;
+        self.design.control = control;
+        self.controller = FlightController::new(&self.config)
+            .map_err(|error| InputError::new(error.to_string()).field("flight"))?;
+        Ok(())
     }
 
     /// Makes the flight longer or shorter; a landing keeps its distance from the end.
@@ -401,38 +462,48 @@ impl Scene {
     pub fn pilot_knowledge(&self) -> Knowledge {
         let control = &self.config.params.control;
         Knowledge {
-            hover_throttle: self.vehicle.mass_kg * GRAVITY / self.vehicle.max_thrust_n(),
+            hover_throttle: self.vehicle.hover_throttle(),
             max_tilt_rad: f64::from(control.max_tilt_rad),
             max_yaw_rate_rad_s: f64::from(control.max_yaw_rate_rad_s),
         }
     }
 }
 
-/// The airframe that flight-core is told of: the vehicle's own figures, rounded to f32.
-fn airframe(vehicle: &VehicleParams) -> Airframe {
-    let Vec3 { x, y, z } = vehicle.inertia_kg_m2;
-    Airframe {
-        thrust_coefficient: vehicle.thrust_coefficient as f32,
-        torque_coefficient: vehicle.torque_coefficient as f32,
-        arm_m: vehicle.arm_m as f32,
-        inertia_kg_m2: vec3(x as f32, y as f32, z as f32),
-        max_rad_s: vehicle.max_rad_s as f32,
-        ..Airframe::OS4
+/// The string under `[scene]` with this key, if there is one.
+fn string_in(table: &DeTable<'_>, key: &str) -> Option<String> {
+    match table.get("scene")?.get_ref() {
+        DeValue::Table(scene) => layers::string(scene, key),
+        _ => None,
     }
 }
 
+/// Figures of a vehicle for the effects that a scene names without figures.
+fn figures(design: &Vehicle) -> String {
+    let vehicle = &design.params;
+    let Vec3 { x, y, z } = vehicle.drag_kg_per_s;
+    format!(
+        "[vehicle.motor_lag]\ntau_s = {:?}\n[vehicle.linear_drag]\na_kg_per_s = [{x:?}, {y:?}, {z:?}]\n\
+         [vehicle.battery_sag]\ncells = {}\n",
+        vehicle.lag_s, design.cells
+    )
+}
+
 impl file::Flight {
-    fn build(
-        &self,
-        vehicle: &VehicleParams,
-        preset: &ImuPreset,
-        field_ut: Vec3<f64>,
-    ) -> Result<Config, InputError> {
-        let (_, estimator) =
-            EstimatorParams::PRESETS.into_iter().find(|(name, _)| *name == self.estimator).ok_or_else(
-                || check::unknown("flight.estimator", &self.estimator, EstimatorParams::PRESETS.map(|p| p.0)),
-            )?;
-        if let Some(cutoff_hz) = self.prefilter_hz {
+    fn build(&self, design: &Vehicle, preset: &ImuPreset, field_ut: Vec3<f64>) -> Result<Config, InputError> {
+        let estimator = match &self.estimator {
+            None => design.estimator,
+            Some(name) => {
+                let found = EstimatorParams::PRESETS.into_iter().find(|(preset, _)| preset == name);
+                let names = EstimatorParams::PRESETS.map(|preset| preset.0);
+                found.ok_or_else(|| check::unknown("flight.estimator", name, names))?.1
+            }
+        };
+        let prefilter_hz = match self.prefilter_hz {
+            None => design.prefilter_hz,
+            Some(file::Cutoff::Hz(cutoff_hz)) => Some(cutoff_hz),
+            Some(file::Cutoff::None) => None,
+        };
+        if let Some(cutoff_hz) = prefilter_hz {
             // The fastest sensor behind a prefilter and the slowest one.
             let allowed = "Hz, just below half the magnetometer's rate";
             let least_of = |rate_hz: u32| f64::from(rate_hz) / f64::from(MAX_RATE_PER_CUTOFF);
@@ -449,16 +520,18 @@ impl file::Flight {
         let along_body =
             |c: Converter| Sensitivity { per_count: c.per_count() as f32, mounting: Mat3::IDENTITY };
         let [gyro, accel, mag] = preset.converters().map(along_body);
-        let params = Params {
+        let board = Params {
             imu_rate_hz: DEFAULT_RATE_HZ as f32,
             mag_rate_hz: MAG_RATE_HZ as f32,
             gyro,
             accel,
             mag,
-            prefilter_cutoff_hz: self.prefilter_hz.map(|hz| hz as f32),
-            estimator: EstimatorParams { declination_rad: declination_rad as f32, ..estimator },
-            airframe: airframe(vehicle),
             ..Params::default()
+        };
+        let params = Params {
+            prefilter_cutoff_hz: prefilter_hz.map(|hz| hz as f32),
+            estimator: EstimatorParams { declination_rad: declination_rad as f32, ..estimator },
+            ..design.flight_params(&board)
         };
         let calibration = self.calibration.as_ref().map(|c| {
             let sensor = |s: &Option<file::SensorCalibrationTable>| {

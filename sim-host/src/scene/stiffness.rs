@@ -7,8 +7,8 @@
 
 use super::DEFAULT_RATE_HZ;
 use super::effects::VehicleEffects;
-use crate::input_error::InputError;
-use crate::vehicle::{Ground, VehicleParams};
+use crate::dynamics::{Ground, VehicleParams};
+use input::InputError;
 
 /// The speed through the air up to which quadratic drag must be followed, m/s: the strongest wind that a scene may name.
 const FASTEST_M_S: f64 = 100.0;
@@ -18,12 +18,13 @@ pub fn check_legs(params: &VehicleParams) -> Result<(), InputError> {
     let least = Ground::least_inertia_kg_m2(params);
     let inertias = <[f64; 3]>::from(params.inertia_kg_m2);
     inertias.into_iter().find(|inertia| *inertia < least).map_or(Ok(()), |inertia| {
-        let VehicleParams { mass_kg, arm_m, leg_m, .. } = params;
+        let VehicleParams { mass_kg, feet_m, .. } = params;
+        let arm_m = params.arm_m();
         Err(InputError::new(format!(
-            "must be at least {least:.3} kg m² for {mass_kg} kg with arms of {arm_m} m and legs of {leg_m} m: its feet \
-             on the ground are too stiff for steps of 1 ms"
+            "must be at least {least:.3e} kg m² for {mass_kg} kg with arms of {arm_m:.3} m and feet {feet_m} m below: they \
+             are too stiff for steps of 1 ms"
         ))
-        .field("scene.vehicle.inertia_kg_m2")
+        .field("vehicle.inertia.kg_m2")
         .value(inertia))
     })
 }

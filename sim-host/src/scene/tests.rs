@@ -1,4 +1,5 @@
 use super::*;
+use crate::dynamics::GRAVITY;
 use crate::effects::Moment;
 use crate::effects::sensor::testing::{STATE, at_rest, moment};
 use crate::effects::vehicle::VehicleEffect;
@@ -51,11 +52,13 @@ fn a_scene_alters_the_one_it_includes() {
 }
 
 #[test]
-fn an_inline_vehicle_is_like_another_but_for_what_it_says() {
-    let text =
-        "[scene]\nduration_s = 1.0\nseed = 1\nimu = \"paper\"\nvehicle = { like = \"os4\", mass_kg = 0.8 }\n";
+fn a_scene_alters_its_vehicle_key_by_key() {
+    let text = "[scene]\nduration_s = 1.0\nseed = 1\nimu = \"paper\"\nvehicle = \"os4\"\n[vehicle]\nmass_g = 800.0\n";
     let scene = Scene::parse("heavy", text).unwrap();
     assert_eq!(scene.vehicle, VehicleParams { mass_kg: 0.8, ..VehicleParams::OS4 });
+    // What follows from the mass follows it.
+    let descent = scene.config.params.descent.throttle;
+    assert!((f64::from(descent) - 0.95 * scene.vehicle.hover_throttle()).abs() < 1e-6);
     assert!((scene.pilot_knowledge().hover_throttle / 0.5 - 0.8 / 0.65).abs() < 1e-3);
 }
 
@@ -157,7 +160,7 @@ type Contribution = (&'static str, Vec<[u64; 3]>);
 
 /// What each effect of a scene makes of the same readings while the vehicle flies: its contribution alone.
 fn contributions(scene: &Scene) -> Vec<Contribution> {
-    let state = crate::vehicle::State { rates: vec3(0.1, -0.2, 0.3), ..STATE };
+    let state = crate::dynamics::State { rates: vec3(0.1, -0.2, 0.3), ..STATE };
     let at = |k: u32| Moment { rotors: [200.0, 210.0, 220.0, 230.0], ..moment(&state, f64::from(k) * 1e-3) };
     let bits = |v: Vec3<f64>| <[f64; 3]>::from(v).map(f64::to_bits);
     let mut list = Vec::new();
@@ -223,7 +226,7 @@ fn a_text_without_an_end_is_no_scene() {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("long.toml");
     std::fs::write(&path, "#".repeat(1 << 20)).unwrap();
-    assert!(source::text_of(&path).is_ok());
+    assert!(layers::text_of(&path).is_ok());
     std::fs::write(&path, "#".repeat((1 << 20) + 1)).unwrap();
-    assert_eq!(source::text_of(&path).unwrap_err().to_string(), "longer than 1048576 bytes");
+    assert_eq!(layers::text_of(&path).unwrap_err().to_string(), "longer than 1048576 bytes");
 }

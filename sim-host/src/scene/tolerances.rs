@@ -18,8 +18,8 @@ use serde::Deserialize;
 use super::{Scene, check};
 use crate::effects::sensor::{HardIron, Misalignment, ScaleFactor};
 use crate::effects::vehicle::CgOffset;
-use crate::input_error::InputError;
 use crate::random::{NormalStream, UniformStream};
+use input::InputError;
 
 /// A bound and a distribution: exactly one of the four keys.
 #[derive(Clone, Copy, Debug, Deserialize)]
@@ -137,7 +137,7 @@ tolerances! {
     rotor_inertia_kg_m2: "kg m²", ONE, None,
         |s| vec![s.vehicle.rotor_inertia_kg_m2], |s, drawn| s.vehicle.rotor_inertia_kg_m2 = drawn[0];
     /// l.
-    arm_m: "m", ONE, None, |s| vec![s.vehicle.arm_m], |s, drawn| s.vehicle.arm_m = drawn[0];
+    arm_m: "m", ONE, None, |s| vec![s.vehicle.arm_m()], |s, drawn| s.vehicle.set_arm_m(drawn[0]);
     /// b, each rotor by itself.
     thrust_coefficient_n_s2: "N s²", ROTORS, None,
         |s| vec![s.vehicle.thrust_coefficient; 4],
@@ -397,13 +397,13 @@ mod tests {
     fn rotors_pull_with_their_own_thrust_and_turn_with_the_same_torque() {
         let scene = scene("thrust_coefficient_n_s2 = { uniform_percent = 10 }");
         let (of_run, drawn) = scene.of_run(11);
-        let mut vehicle = crate::vehicle::Vehicle::at_rest(
+        let mut vehicle = crate::dynamics::Vehicle::at_rest(
             of_run.vehicle,
             of_run.mount(),
             of_run.vehicle_effects(11, 1e3),
             1e-3,
         );
-        let high = crate::vehicle::State { position: vec3(0.0, 0.0, -100.0), ..*vehicle.state() };
+        let high = crate::dynamics::State { position: vec3(0.0, 0.0, -100.0), ..*vehicle.state() };
         let speed = 200.0;
         vehicle.set_state(high, [speed; 4]);
         let [b1, b2, b3, b4] = [0, 1, 2, 3].map(|i| drawn[i].1);

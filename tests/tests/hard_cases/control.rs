@@ -16,8 +16,9 @@ const SIGNS: [[f64; 4]; 4] =
 /// The demand in squared speeds: thrust, roll, pitch, yaw.
 fn in_squares(demand: &Wrench) -> [f64; 4] {
     let a = Airframe::OS4;
-    let (b, d, l) = (f64::from(a.thrust_coefficient), f64::from(a.torque_coefficient), f64::from(a.arm_m));
-    let tilt = std::f64::consts::SQRT_2 / (4.0 * b * l);
+    let (b, d, l) =
+        (f64::from(a.thrust_coefficient), f64::from(a.torque_coefficient), f64::from(a.forward_m));
+    let tilt = 1.0 / (4.0 * b * l);
     let [x, y, z] = <[f32; 3]>::from(demand.torque_n_m).map(f64::from);
     [f64::from(demand.thrust_n) / (4.0 * b), x * tilt, y * tilt, z / (4.0 * d)]
 }

@@ -2,10 +2,10 @@
 
 use flight_core::ArmState;
 use flight_core::geometry::{Quaternion, Vec3, vec3};
+use sim_host::dynamics::{GRAVITY, Ground, Mount, State, Vehicle, VehicleParams};
 use sim_host::effects::vehicle::{Lag, VehicleEffect};
 use sim_host::flight::{Crash, Flight, Outcome};
 use sim_host::scene::Scene;
-use sim_host::vehicle::{GRAVITY, Ground, Mount, State, Vehicle, VehicleParams};
 
 use crate::truth::rotation;
 
@@ -19,13 +19,9 @@ fn fly(tables: &str) -> Outcome {
 
 #[test]
 fn masses_that_are_none_are_refused() {
-    for mass in ["1e-6", "1e6", "0.0", "-1.0", "inf"] {
-        let error =
-            hover_with(&format!("[scene]\nvehicle = {{ like = \"os4\", mass_kg = {mass} }}\n")).unwrap_err();
-        assert!(
-            error.contains("scene.vehicle.mass_kg") && error.contains("must be from 0.01 to 100 kg"),
-            "{error}"
-        );
+    for mass in ["1e-3", "1e9", "0.0", "-1.0", "inf"] {
+        let error = hover_with(&format!("[vehicle]\nmass_g = {mass}\n")).unwrap_err();
+        assert!(error.contains("mass_g = ") && error.contains("must be from 10 to 100000 g"), "{error}");
     }
 }
 
@@ -115,12 +111,17 @@ fn vehicles_at_the_ends_of_what_a_scene_may_say_are_refused_or_stand_still() {
                 // Feet that give by 1 mm right a vehicle by 500/m · l² for each m of height: higher, it topples in truth.
                 for leg in [0.01, 0.05, 1.0].into_iter().filter(|leg| 250.0 * arm * arm > *leg) {
                     let table = format!(
-                        "[scene]\nvehicle = {{ like = \"os4\", mass_kg = {mass:?}, arm_m = {arm:?}, leg_m = {leg:?}, \
-                         inertia_kg_m2 = [{inertia:?}, {inertia:?}, {inertia:?}] }}\n"
+                        "[vehicle]\nmass_g = {:?}\nfeet_mm = {:?}\nrotors.arm_mm = {:?}\nrotors.thrust_n_s2 = {:?}\n\
+                         inertia.kg_m2 = [{inertia:?}, {inertia:?}, {inertia:?}]\n",
+                        mass * 1e3,
+                        leg * 1e3,
+                        arm * 1e3,
+                        // Of OS4 for each kg.
+                        mass / 0.65 * 3.13e-5,
                     );
                     match hover_with(&table) {
                         Err(error) => {
-                            assert!(error.contains("scene.vehicle."), "{error}");
+                            assert!(error.contains("vehicle.inertia.kg_m2"), "{error}");
                             refused += 1;
                         }
                         Ok(scene) => {
@@ -165,7 +166,7 @@ fn drag_of_nothing_and_of_honey() {
         let error = hover_with(&format!("[effects.vehicle.{drag}\n")).unwrap_err();
         assert!(error.contains(says) && error.contains("steps of 1 ms"), "{error}");
     }
-    let light = "[scene]\nvehicle = { like = \"os4\", mass_kg = 0.02 }\n[effects.vehicle.linear_drag]\na_kg_per_s = [30.0, 0.0, 0.0]\n";
+    let light = "[vehicle]\nmass_g = 20.0\n[effects.vehicle.linear_drag]\na_kg_per_s = [30.0, 0.0, 0.0]\n";
     assert!(hover_with(light).unwrap_err().contains("at most"), "{light}");
 }
 

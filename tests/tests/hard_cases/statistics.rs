@@ -2,10 +2,10 @@
 
 use flight_core::geometry::{Quaternion, Vec3, vec3};
 use sim_host::allan::{Phase, Point, Statistic, Taus, deviations};
+use sim_host::dynamics::{State, VehicleParams};
 use sim_host::effects::sensor::AccelBiasInstability;
 use sim_host::effects::{Build, Moment, Recipe};
 use sim_host::random::NormalStream;
-use sim_host::vehicle::{State, VehicleParams};
 
 /// Overlapping deviations at octaves.
 fn octaves(samples: Vec<f64>, interval_s: f64) -> Vec<Point> {

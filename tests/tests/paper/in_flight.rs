@@ -7,10 +7,10 @@
 use flight_core::STANDARD_GRAVITY;
 use flight_core::estimator::{Estimator, EstimatorParams};
 use flight_core::geometry::{Quaternion, Vec3, vec3};
+use sim_host::dynamics::{GRAVITY, Ground, Mount, State, Vehicle, VehicleParams};
 use sim_host::effects::vehicle::{LinearDrag, VehicleEffect};
 use sim_host::flight::{Crash, Flight, Observer, StepView};
 use sim_host::scene::{BUILT_IN, Scene};
-use sim_host::vehicle::{GRAVITY, Ground, Mount, State, Vehicle, VehicleParams};
 
 use crate::spread::Spread;
 use crate::still::on_os4;
@@ -128,7 +128,7 @@ fn altered(name: &str, changes: &[(&str, &str)]) -> Scene {
 }
 
 const PAPER: (&str, &str) = ("estimator = \"flight\"", "estimator = \"paper\"");
-const NO_DRAG: (&str, &str) = ("[effects.vehicle.linear_drag]\na_kg_per_s = [0.25, 0.25, 0.25]\n", "");
+const NO_DRAG: (&str, &str) = ("[effects.vehicle.linear_drag]\n", "");
 /// The first side of the first doublet goes on for 2 s, and the second comes after it.
 const HELD_2_S: [(&str, &str); 2] =
     [("at_s = 14.0\nfor_s = 0.7", "at_s = 14.0\nfor_s = 2.0"), ("at_s = 14.7", "at_s = 16.0")];

@@ -6,9 +6,9 @@
 use flight_core::calibration::SensorCalibration;
 use flight_core::geometry::{Quaternion, Vec3, vec3};
 use flight_core::sample::{ImuSample, Input, MagSample};
+use sim_host::dynamics::{GRAVITY, State};
 use sim_host::effects::Moment;
 use sim_host::scene::{BUILT_IN, FIELD_ANKARA_UT, Scene};
-use sim_host::vehicle::{GRAVITY, State};
 
 use crate::still::STILL;
 

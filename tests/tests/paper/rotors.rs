@@ -2,8 +2,8 @@
 
 use flight_core::geometry::{Vec3, vec3};
 use flight_core::mixer::{Airframe, Mixer, Saturation, Wrench};
+use sim_host::dynamics::{GRAVITY, Ground, Mount, State, Vehicle, VehicleParams};
 use sim_host::effects::vehicle::{RotorGyroscopic, VehicleEffect};
-use sim_host::vehicle::{GRAVITY, Ground, Mount, State, Vehicle, VehicleParams};
 
 use crate::still::on_os4;
 

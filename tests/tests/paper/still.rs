@@ -1,11 +1,11 @@
 //! A vehicle that lies still and level, and effects built apart from a scene.
 
 use flight_core::geometry::{Quaternion, Vec3, vec3};
+use sim_host::dynamics::{GRAVITY, State, VehicleParams};
 use sim_host::effects::sensor::AccelWhiteNoise;
 use sim_host::effects::vehicle::VehicleEffect;
 use sim_host::effects::{Build, Moment, Recipe};
 use sim_host::sensors::{Converter, Sensor};
-use sim_host::vehicle::{GRAVITY, State, VehicleParams};
 
 /// The truth while it lies there.
 pub const STILL: Moment<'static> = Moment {

@@ -5,9 +5,9 @@
 //! gyroscope, add gravity to the specific force, integrate twice. All of it is f64.
 
 use flight_core::geometry::{Quaternion, Vec3, vec3};
+use sim_host::dynamics::GRAVITY;
 use sim_host::scene::Scene;
 use sim_host::sensors::Sensor;
-use sim_host::vehicle::GRAVITY;
 
 use crate::spread::Spread;
 use crate::still::STILL;

@@ -3,7 +3,7 @@
 use flight_core::geometry::{Quaternion, Vec3, vec3};
 use ode_solvers::{Dopri5, OutputType, SVector, System};
 
-use crate::vehicle::State;
+use crate::dynamics::State;
 
 /// What moves: accelerations of a body.
 pub trait Motion {

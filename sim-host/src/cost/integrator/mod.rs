@@ -8,8 +8,8 @@ pub(super) mod top;
 use super::timing::quickest;
 use super::{Axis, Options, Progress, Setting, Study};
 use crate::attitude_error::AttitudeError;
-use crate::input_error::InputError;
-use crate::vehicle::State;
+use crate::dynamics::State;
+use input::InputError;
 
 use methods::{Fixed, dormand_prince};
 use replay::{REFERENCE_STEPS, REFERENCE_TOLERANCE, Replay};

@@ -3,19 +3,18 @@
 //! The scene `steps` is flown in closed loop; between its take-off and its landing the commands to the rotors
 //! are written down, and the truth at the start. From there every method integrates the same motion under the
 //! same commands: 16 s with doublets of 30° in roll and in pitch and a yaw pulse. The equations are written
-//! out here once more, apart from [`crate::vehicle`]: a test holds the two against each other.
+//! out here once more, apart from [`crate::dynamics`]: a test holds the two against each other.
 //!
 //! The commands change every millisecond, and with them the rotors' accelerations: a step can be no longer,
 //! and an adaptive method has to begin anew at each.
 
 use flight_core::geometry::{Quaternion, Vec3, vec3};
-use serde::Deserialize;
 
 use super::methods::{Fixed, Motion, dormand_prince};
+use crate::dynamics::{GRAVITY, State, VehicleParams};
 use crate::flight::{Flight, Observer, STEP_US, StepView};
-use crate::input_error::InputError;
-use crate::scene::{BUILT_IN, Scene};
-use crate::vehicle::{GRAVITY, State, VehicleParams};
+use crate::scene::Scene;
+use input::InputError;
 
 /// The scene, and the part of it that is integrated, s.
 const SCENE: &str = "steps";
@@ -29,23 +28,6 @@ const LOOK: usize = 1000;
 /// What the two references take: tolerance of Dormand and Prince, steps of RKMK4 in a millisecond.
 pub const REFERENCE_TOLERANCE: f64 = 1e-13;
 pub const REFERENCE_STEPS: u32 = 8;
-
-/// What the scene says of the vehicle's effects.
-#[derive(Deserialize)]
-struct Effects {
-    linear_drag: LinearDrag,
-    motor_lag: MotorLag,
-}
-
-#[derive(Deserialize)]
-struct LinearDrag {
-    a_kg_per_s: [f64; 3],
-}
-
-#[derive(Deserialize)]
-struct MotorLag {
-    tau_s: f64,
-}
 
 /// The flight's commands, and where it was when they began.
 pub struct Replay {
@@ -94,21 +76,12 @@ impl Replay {
     /// The scene is not what this file takes it for.
     pub fn fly() -> Result<Self, InputError> {
         let scene = Scene::load(SCENE)?;
-        let built_in = BUILT_IN.iter().find(|scene| scene.name == SCENE);
-        let wrong = |error: String| InputError::new(error).file(SCENE);
-        let text = built_in.ok_or_else(|| wrong("is not built in".into()))?.text;
-        let table: toml::Table = text.parse().map_err(|error| wrong(format!("{error}")))?;
-        let effects = table.get("effects").and_then(|effects| effects.get("vehicle")).cloned();
-        let effects: Effects = effects
-            .ok_or_else(|| wrong("names no effect on the vehicle".into()))?
-            .try_into()
-            .map_err(|error| wrong(format!("{error}")))?;
         let mut writer = Writer {
             max_rad_s: scene.vehicle.max_rad_s,
             replay: Self {
                 params: scene.vehicle,
-                drag: effects.linear_drag.a_kg_per_s.into(),
-                tau_s: effects.motor_lag.tau_s,
+                drag: scene.vehicle.drag_kg_per_s,
+                tau_s: scene.vehicle.lag_s,
                 start: State {
                     position: Vec3::ZERO,
                     velocity: Vec3::ZERO,
@@ -187,7 +160,7 @@ impl Motion for Interval<'_> {
         let Replay { params: p, drag, .. } = self.replay;
         let [o1, o2, o3, o4] = self.rotors_at(t_s);
         let [f1, f2, f3, f4] = [o1, o2, o3, o4].map(|speed| p.thrust_coefficient * speed * speed);
-        let lever = p.arm_m * std::f64::consts::FRAC_1_SQRT_2;
+        let lever = p.right_m;
         let reaction = p.torque_coefficient / p.thrust_coefficient;
         let w = state.rates;
         let spin = p.rotor_inertia_kg_m2 * (o1 - o2 + o3 - o4);

@@ -9,8 +9,8 @@ use serde::Deserialize;
 
 use super::{BoxedDelivery, Delivery};
 use crate::effects::{Build, Recipe};
-use crate::input_error::InputError;
-use crate::scene::check;
+use input::InputError;
+use input::check;
 
 /// `[effects.imu.latency]`, `[effects.mag.latency]`, `[effects.link.latency]`
 #[derive(Clone, Debug, Deserialize)]

@@ -7,9 +7,9 @@ use serde::Deserialize;
 
 use super::{BoxedDelivery, Delivery};
 use crate::effects::{Build, Recipe};
-use crate::input_error::InputError;
 use crate::random::UniformStream;
-use crate::scene::check;
+use input::InputError;
+use input::check;
 
 /// `[effects.imu.dropped_samples]`, `[effects.mag.dropped_samples]`, `[effects.link.loss]`
 #[derive(Clone, Debug, Deserialize)]

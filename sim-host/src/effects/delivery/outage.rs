@@ -5,8 +5,8 @@ use serde::Deserialize;
 
 use super::{BoxedDelivery, Dead, Window};
 use crate::effects::{Build, Recipe};
-use crate::input_error::InputError;
-use crate::scene::check;
+use input::InputError;
+use input::check;
 
 /// `[effects.link.outage]`
 #[derive(Clone, Debug, Deserialize)]

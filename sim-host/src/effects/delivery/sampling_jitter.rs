@@ -14,11 +14,11 @@ use flight_core::geometry::Vec3;
 use serde::Deserialize;
 
 use super::ImuEffect;
+use crate::dynamics::State;
 use crate::effects::{Build, Moment, Recipe};
-use crate::input_error::InputError;
 use crate::random::{NormalStream, UniformStream};
-use crate::scene::check;
-use crate::vehicle::State;
+use input::InputError;
+use input::check;
 
 /// `[effects.imu.sampling_jitter]`
 #[derive(Clone, Debug, Deserialize)]

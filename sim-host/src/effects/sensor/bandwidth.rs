@@ -11,8 +11,8 @@ use flight_core::geometry::Vec3;
 use serde::Deserialize;
 
 use crate::effects::{BoxedSensorEffect, Build, Moment, Recipe, SensorEffect};
-use crate::input_error::InputError;
-use crate::scene::check;
+use input::InputError;
+use input::check;
 
 /// `[effects.gyro.bandwidth]` and `[effects.accel.bandwidth]`
 #[derive(Clone, Debug, Deserialize)]

@@ -9,8 +9,8 @@ use serde::Deserialize;
 
 use super::DEG;
 use crate::effects::{BoxedSensorEffect, Build, Moment, Recipe, SensorEffect};
-use crate::input_error::InputError;
-use crate::scene::check;
+use input::InputError;
+use input::check;
 
 /// `[effects.gyro.constant_bias]`
 #[derive(Clone, Debug, Deserialize)]

@@ -8,10 +8,10 @@ use flight_core::geometry::{Mat3, Vec3};
 use serde::Deserialize;
 
 use super::DEG;
+use crate::dynamics::GRAVITY;
 use crate::effects::{BoxedSensorEffect, Build, Moment, Recipe, SensorEffect};
-use crate::input_error::InputError;
-use crate::scene::check;
-use crate::vehicle::GRAVITY;
+use input::InputError;
+use input::check;
 
 /// `[effects.gyro.g_sensitivity]`
 #[derive(Clone, Debug, Deserialize)]

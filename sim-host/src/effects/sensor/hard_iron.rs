@@ -6,8 +6,8 @@ use flight_core::geometry::Vec3;
 use serde::Deserialize;
 
 use crate::effects::{BoxedSensorEffect, Build, Moment, Recipe, SensorEffect};
-use crate::input_error::InputError;
-use crate::scene::check;
+use input::InputError;
+use input::check;
 
 /// `[effects.mag.hard_iron]`
 #[derive(Clone, Debug, Deserialize)]

@@ -7,8 +7,8 @@ use flight_core::geometry::Vec3;
 use serde::Deserialize;
 
 use crate::effects::{BoxedSensorEffect, Build, Moment, Recipe, SensorEffect};
-use crate::input_error::InputError;
-use crate::scene::check;
+use input::InputError;
+use input::check;
 
 /// `[effects.accel.lever_arm]`
 #[derive(Clone, Debug, Deserialize)]
@@ -43,8 +43,8 @@ impl SensorEffect for Arm {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::dynamics::State;
     use crate::effects::sensor::testing::{STATE, build, moment};
-    use crate::vehicle::State;
     use flight_core::geometry::vec3;
 
     #[test]

@@ -16,8 +16,8 @@ use flight_core::geometry::{Mat3, Vec3};
 use serde::Deserialize;
 
 use crate::effects::{BoxedSensorEffect, Build, Moment, Recipe, SensorEffect};
-use crate::input_error::InputError;
-use crate::scene::check;
+use input::InputError;
+use input::check;
 
 /// `[effects.gyro.misalignment]` and `[effects.accel.misalignment]`
 #[derive(Clone, Debug, Deserialize)]

@@ -14,8 +14,8 @@ use flight_core::geometry::Vec3;
 use serde::Deserialize;
 
 use crate::effects::{BoxedSensorEffect, Build, Moment, Recipe, SensorEffect};
-use crate::input_error::InputError;
-use crate::scene::check;
+use input::InputError;
+use input::check;
 
 /// `[effects.mag.motor_current]`
 #[derive(Clone, Debug, Deserialize)]
@@ -59,8 +59,8 @@ impl SensorEffect for Wiring {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::dynamics::{GRAVITY, VehicleParams};
     use crate::effects::sensor::testing::{STATE, build, moment};
-    use crate::vehicle::{GRAVITY, VehicleParams};
     use flight_core::geometry::vec3;
 
     #[test]

@@ -7,8 +7,8 @@ use serde::Deserialize;
 
 use super::DEG;
 use crate::effects::{BoxedSensorEffect, Build, Moment, Recipe, SensorEffect};
-use crate::input_error::InputError;
-use crate::scene::check;
+use input::InputError;
+use input::check;
 
 /// `[effects.gyro.rate_ramp]`
 #[derive(Clone, Debug, Deserialize)]

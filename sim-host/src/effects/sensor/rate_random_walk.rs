@@ -8,9 +8,9 @@ use serde::Deserialize;
 
 use super::DEG;
 use crate::effects::{BoxedSensorEffect, Build, Moment, Recipe, SensorEffect};
-use crate::input_error::InputError;
 use crate::random::NormalStreams;
-use crate::scene::check;
+use input::InputError;
+use input::check;
 
 /// `[effects.gyro.rate_random_walk]`
 #[derive(Clone, Debug, Deserialize)]

@@ -6,10 +6,10 @@ use flight_core::geometry::{Vec3, vec3};
 use serde::Deserialize;
 
 use super::DEG;
+use crate::dynamics::GRAVITY;
 use crate::effects::{BoxedSensorEffect, Build, Moment, Recipe, SensorEffect};
-use crate::input_error::InputError;
-use crate::scene::check;
-use crate::vehicle::GRAVITY;
+use input::InputError;
+use input::check;
 
 /// `[effects.gyro.saturation]`
 #[derive(Clone, Debug, Deserialize)]

@@ -6,8 +6,8 @@ use flight_core::geometry::Vec3;
 use serde::Deserialize;
 
 use crate::effects::{BoxedSensorEffect, Build, Moment, Recipe, SensorEffect};
-use crate::input_error::InputError;
-use crate::scene::check;
+use input::InputError;
+use input::check;
 
 /// `[effects.gyro.scale_factor]` and `[effects.accel.scale_factor]`
 #[derive(Clone, Debug, Deserialize)]

@@ -7,8 +7,8 @@ use flight_core::geometry::{Mat3, Vec3};
 use serde::Deserialize;
 
 use crate::effects::{BoxedSensorEffect, Build, Moment, Recipe, SensorEffect};
-use crate::input_error::InputError;
-use crate::scene::check;
+use input::InputError;
+use input::check;
 
 /// `[effects.mag.soft_iron]`
 #[derive(Clone, Debug, Deserialize)]

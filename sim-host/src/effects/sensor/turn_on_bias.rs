@@ -8,9 +8,9 @@ use serde::Deserialize;
 use super::DEG;
 use super::constant_bias::Offset;
 use crate::effects::{BoxedSensorEffect, Build, Recipe};
-use crate::input_error::InputError;
 use crate::random::NormalStreams;
-use crate::scene::check;
+use input::InputError;
+use input::check;
 
 /// `[effects.gyro.turn_on_bias]`
 #[derive(Clone, Debug, Deserialize)]

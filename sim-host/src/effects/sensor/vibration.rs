@@ -16,11 +16,11 @@ use serde::Deserialize;
 use wide::f64x4;
 
 use super::DEG;
+use crate::dynamics::{GRAVITY, VehicleParams};
 use crate::effects::{BoxedSensorEffect, Build, Moment, Recipe, SensorEffect};
-use crate::input_error::InputError;
 use crate::random::{NormalStream, NormalStreams};
-use crate::scene::check;
-use crate::vehicle::{GRAVITY, VehicleParams};
+use input::InputError;
+use input::check;
 
 /// The rotor's own speed and nothing above it.
 fn only_the_first() -> Vec<f64> {

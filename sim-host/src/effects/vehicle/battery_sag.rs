@@ -21,8 +21,8 @@ use serde::Deserialize;
 
 use super::{CommandEffect, VehicleEffect};
 use crate::effects::{Build, Moment, Recipe};
-use crate::input_error::InputError;
-use crate::scene::check;
+use input::InputError;
+use input::check;
 
 /// `[effects.vehicle.battery_sag]`
 #[derive(Clone, Debug, Deserialize)]

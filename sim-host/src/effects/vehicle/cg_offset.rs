@@ -14,8 +14,8 @@ use serde::Deserialize;
 
 use super::{Body, BodyEffect, Load, Stage, VehicleEffect};
 use crate::effects::{Build, Recipe};
-use crate::input_error::InputError;
-use crate::scene::check;
+use input::InputError;
+use input::check;
 
 /// `[effects.vehicle.cg_offset]`
 #[derive(Clone, Debug, Deserialize)]
@@ -56,15 +56,15 @@ impl BodyEffect for Offset {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::dynamics::VehicleParams;
     use crate::effects::vehicle::testing::{STATE, applied};
-    use crate::vehicle::VehicleParams;
 
     #[test]
     fn equals_the_moments_of_the_rotors_about_the_moved_centre() {
         let offset = [0.012, -0.007, 0.02];
         let thrusts = [1.5, 1.7, 1.4, 2.0];
         let (load, _) = applied(&CgOffset { offset_m: offset }, &STATE, [200.0; 4], [0.0; 4], thrusts);
-        let reach = VehicleParams::OS4.arm_m * std::f64::consts::FRAC_1_SQRT_2;
+        let reach = VehicleParams::OS4.forward_m;
         let moment = |from: [f64; 3]| {
             let places = [(1.0, -1.0), (1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0)];
             places.iter().zip(thrusts).fold(vec3(0.0, 0.0, 0.0), |sum, ((x, y), thrust)| {

@@ -8,8 +8,8 @@ use serde::Deserialize;
 
 use super::{VehicleEffect, WindEffect};
 use crate::effects::{Build, Moment, Recipe};
-use crate::input_error::InputError;
-use crate::scene::check;
+use input::InputError;
+use input::check;
 
 /// `[effects.wind.constant]`
 #[derive(Clone, Debug, Deserialize)]

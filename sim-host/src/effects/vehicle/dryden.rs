@@ -32,9 +32,9 @@ use serde::Deserialize;
 
 use super::{VehicleEffect, WindEffect};
 use crate::effects::{Build, Moment, Recipe};
-use crate::input_error::InputError;
 use crate::random::NormalStream;
-use crate::scene::check;
+use input::InputError;
+use input::check;
 
 /// `[effects.wind.dryden]`
 #[derive(Clone, Debug, Deserialize)]
@@ -236,8 +236,8 @@ impl WindEffect for Gusts {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::dynamics::State;
     use crate::effects::vehicle::testing::{STATE, moment, wind};
-    use crate::vehicle::State;
 
     #[test]
     fn intensities_and_lengths_are_those_of_the_specification() {

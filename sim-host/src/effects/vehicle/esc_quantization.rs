@@ -11,8 +11,8 @@ use serde::Deserialize;
 
 use super::{CommandEffect, VehicleEffect};
 use crate::effects::{Build, Moment, Recipe};
-use crate::input_error::InputError;
-use crate::scene::check;
+use input::InputError;
+use input::check;
 
 /// `[effects.vehicle.esc_quantization]`
 #[derive(Clone, Debug, Deserialize)]
@@ -48,8 +48,8 @@ impl CommandEffect for Stairs {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::dynamics::VehicleParams;
     use crate::effects::vehicle::testing::{STATE, command, moment};
-    use crate::vehicle::VehicleParams;
 
     #[test]
     fn pulse_takes_the_nearest_step() {

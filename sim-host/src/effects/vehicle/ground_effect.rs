@@ -14,9 +14,10 @@
 use serde::Deserialize;
 
 use super::{Stage, ThrustEffect, VehicleEffect};
+use crate::dynamics::VehicleParams;
 use crate::effects::{Build, Recipe};
-use crate::input_error::InputError;
-use crate::scene::check;
+use input::InputError;
+use input::check;
 
 /// `[effects.vehicle.ground_effect]`
 #[derive(Clone, Debug, Deserialize)]
@@ -34,15 +35,16 @@ impl Recipe for GroundEffect {
     }
 
     fn build(&self, with: &Build) -> VehicleEffect {
-        let reach_m = with.vehicle.arm_m * std::f64::consts::FRAC_1_SQRT_2;
-        VehicleEffect::Thrust(Box::new(Cushion { radius_m: self.rotor_radius_m, reach_m }))
+        let VehicleParams { forward_m, right_m, .. } = *with.vehicle;
+        VehicleEffect::Thrust(Box::new(Cushion { radius_m: self.rotor_radius_m, forward_m, right_m }))
     }
 }
 
 struct Cushion {
     radius_m: f64,
-    /// Of the rotors, forward and right of the centre of gravity, m.
-    reach_m: f64,
+    /// Of the rotors, from the centre of gravity, m.
+    forward_m: f64,
+    right_m: f64,
 }
 
 impl Cushion {
@@ -61,7 +63,7 @@ impl ThrustEffect for Cushion {
         if down.z <= 0.0 {
             return;
         }
-        let (forward, right) = (self.reach_m * down.x, self.reach_m * down.y);
+        let (forward, right) = (self.forward_m * down.x, self.right_m * down.y);
         thrusts[0] *= self.ratio(height_m - forward + right);
         thrusts[1] *= self.ratio(height_m - forward - right);
         thrusts[2] *= self.ratio(height_m + forward - right);
@@ -72,8 +74,8 @@ impl ThrustEffect for Cushion {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::dynamics::State;
     use crate::effects::vehicle::testing::{STATE, applied};
-    use crate::vehicle::State;
     use flight_core::geometry::{Quaternion, vec3};
 
     fn ratios(height_m: f64, attitude: Quaternion<f64>) -> [f64; 4] {

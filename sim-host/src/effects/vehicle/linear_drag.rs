@@ -7,8 +7,8 @@ use serde::Deserialize;
 
 use super::{Body, BodyEffect, Load, Stage, VehicleEffect};
 use crate::effects::{Build, Recipe};
-use crate::input_error::InputError;
-use crate::scene::check;
+use input::InputError;
+use input::check;
 
 /// `[effects.vehicle.linear_drag]`
 #[derive(Clone, Debug, Deserialize)]

@@ -8,7 +8,7 @@
 //! | [`BodyEffect`] | force and torque on the body | at every stage of the integration |
 //!
 //! Contact with the ground is no effect: without it nothing could take off or land, so it is part of
-//! [`crate::vehicle::Mount::Free`], and a vehicle on a ball joint has none.
+//! [`crate::dynamics::Mount::Free`], and a vehicle on a ball joint has none.
 
 mod battery_sag;
 mod cg_offset;
@@ -45,7 +45,7 @@ pub use rotor_drag::RotorDrag;
 pub use rotor_gyroscopic::RotorGyroscopic;
 
 use super::Moment;
-use crate::vehicle::State;
+use crate::dynamics::State;
 
 /// A point in time inside a step, while the motion is integrated.
 #[derive(Clone, Copy, Debug)]

@@ -8,8 +8,8 @@ use serde::Deserialize;
 
 use super::VehicleEffect;
 use crate::effects::{Build, Recipe};
-use crate::input_error::InputError;
-use crate::scene::check;
+use input::InputError;
+use input::check;
 
 /// `[effects.vehicle.motor_lag]`
 #[derive(Clone, Debug, Deserialize)]

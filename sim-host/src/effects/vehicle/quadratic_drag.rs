@@ -12,8 +12,8 @@ use serde::Deserialize;
 
 use super::{Body, BodyEffect, Load, Stage, VehicleEffect};
 use crate::effects::{Build, Recipe};
-use crate::input_error::InputError;
-use crate::scene::check;
+use input::InputError;
+use input::check;
 
 /// `[effects.vehicle.quadratic_drag]`
 #[derive(Clone, Debug, Deserialize)]
@@ -60,8 +60,8 @@ impl BodyEffect for Drag {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::dynamics::State;
     use crate::effects::vehicle::testing::{STATE, applied};
-    use crate::vehicle::State;
     use flight_core::geometry::{Quaternion, vec3};
 
     #[test]

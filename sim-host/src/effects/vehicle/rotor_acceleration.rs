@@ -10,9 +10,10 @@
 
 use serde::Deserialize;
 
+use super::rotor_gyroscopic::turning;
 use super::{Body, BodyEffect, Load, Stage, VehicleEffect};
 use crate::effects::{Build, Recipe};
-use crate::input_error::InputError;
+use input::InputError;
 
 /// `[effects.vehicle.rotor_acceleration]`: J_r is the vehicle's own.
 #[derive(Clone, Debug, Deserialize)]
@@ -27,11 +28,11 @@ impl Recipe for RotorAcceleration {
     }
 
     fn build(&self, with: &Build) -> VehicleEffect {
-        VehicleEffect::Body(Body::RotorAcceleration(Reaction(with.vehicle.rotor_inertia_kg_m2)))
+        VehicleEffect::Body(Body::RotorAcceleration(Reaction(turning(with.vehicle))))
     }
 }
 
-/// J_r, kg·m².
+/// ±J_r, kg·m².
 #[derive(Debug)]
 pub struct Reaction(f64);
 

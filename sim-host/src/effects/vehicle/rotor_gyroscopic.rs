@@ -7,8 +7,9 @@ use flight_core::geometry::vec3;
 use serde::Deserialize;
 
 use super::{Body, BodyEffect, Load, Stage, VehicleEffect};
+use crate::dynamics::VehicleParams;
 use crate::effects::{Build, Recipe};
-use crate::input_error::InputError;
+use input::InputError;
 
 /// `[effects.vehicle.rotor_gyroscopic]`: J_r is the vehicle's own.
 #[derive(Clone, Debug, Deserialize)]
@@ -23,11 +24,16 @@ impl Recipe for RotorGyroscopic {
     }
 
     fn build(&self, with: &Build) -> VehicleEffect {
-        VehicleEffect::Body(Body::RotorGyroscopic(Gyroscope(with.vehicle.rotor_inertia_kg_m2)))
+        VehicleEffect::Body(Body::RotorGyroscopic(Gyroscope(turning(with.vehicle))))
     }
 }
 
-/// J_r, kg·m².
+/// J_r, with the sign of the front left rotor's reaction, kg·m².
+pub(super) fn turning(vehicle: &VehicleParams) -> f64 {
+    f64::from(vehicle.spin.sign()) * vehicle.rotor_inertia_kg_m2
+}
+
+/// ±J_r, kg·m².
 #[derive(Debug)]
 pub struct Gyroscope(f64);
 

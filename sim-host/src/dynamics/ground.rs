@@ -16,6 +16,7 @@ use super::{GRAVITY, State, VehicleParams};
 pub struct Ground {
     stiffness_n_m: f64,
     damping_n_s_m: f64,
+    arm_m: f64,
 }
 
 /// Depth of a foot under its share of the weight, m.
@@ -43,7 +44,7 @@ impl Ground {
         let stiffness_n_m = share * GRAVITY / REST_DEPTH_M;
         // 0.7 of critical.
         let damping_n_s_m = 1.4 * libm::sqrt(stiffness_n_m * share);
-        Self { stiffness_n_m, damping_n_s_m }
+        Self { stiffness_n_m, damping_n_s_m, arm_m: params.arm_m() }
     }
 
     /// The smallest moment of inertia that steps of 1 ms can follow on these legs, kg·m².
@@ -52,19 +53,20 @@ impl Ground {
     /// rest by (μ g/creep = 118/s) · m h²/I with legs of h, and about the vertical by 118/s · m l²/I. All are below
     /// 120/s · m (l² + 2h²)/I, which with this bound is 2,400/s (RK4 is stable to 2,780/s); OS4's is 600/s.
     pub fn least_inertia_kg_m2(params: &VehicleParams) -> f64 {
-        let VehicleParams { mass_kg, arm_m, leg_m, .. } = params;
-        mass_kg * (arm_m * arm_m + 2.0 * leg_m * leg_m) / 20.0
+        let VehicleParams { mass_kg, feet_m, .. } = params;
+        let arm_m = params.arm_m();
+        mass_kg * (arm_m * arm_m + 2.0 * feet_m * feet_m) / 20.0
     }
 
     /// Position of the centre of gravity at rest, m down (negative).
     pub(super) fn rest_position_m(&self, params: &VehicleParams) -> f64 {
-        REST_DEPTH_M - params.leg_m
+        REST_DEPTH_M - params.feet_m
     }
 
     /// Whether a foot could touch in any attitude: the only work that flight does for the ground.
     #[inline(always)]
     pub(super) fn is_near(&self, params: &VehicleParams, state: &State) -> bool {
-        state.position.z > -(params.arm_m + params.leg_m)
+        state.position.z > -(self.arm_m + params.feet_m)
     }
 
     #[inline(always)]
@@ -99,7 +101,6 @@ impl Ground {
 
 /// The feet in body axes, m: below the rotors.
 fn feet(params: &VehicleParams) -> [Vec3<f64>; 4] {
-    let reach = params.arm_m * std::f64::consts::FRAC_1_SQRT_2;
     [(1.0, -1.0), (1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0)]
-        .map(|(x, y)| vec3(x * reach, y * reach, params.leg_m))
+        .map(|(x, y)| vec3(x * params.forward_m, y * params.right_m, params.feet_m))
 }

@@ -1,9 +1,9 @@
 //! Checks that end in one clear line.
 
-use crate::input_error::InputError;
+use crate::InputError;
 
 /// Adds the nearest valid name to "unknown field `x`, expected one of `a`, `b`".
-pub(super) fn with_suggestion(message: &str) -> String {
+pub fn with_suggestion(message: &str) -> String {
     let quoted: Vec<&str> = message.split('`').skip(1).step_by(2).collect();
     match quoted.as_slice() {
         [wrong, valid @ ..] if message.starts_with("unknown") => {
@@ -14,7 +14,7 @@ pub(super) fn with_suggestion(message: &str) -> String {
 }
 
 /// " (did you mean `…`?)" for a name within a few letters of a valid one; else nothing.
-pub(super) fn nearest<'a>(wrong: &str, valid: impl Iterator<Item = &'a str>) -> String {
+pub fn nearest<'a>(wrong: &str, valid: impl Iterator<Item = &'a str>) -> String {
     valid
         .map(|name| (strsim::damerau_levenshtein(wrong, name), name))
         .min()
@@ -23,20 +23,14 @@ pub(super) fn nearest<'a>(wrong: &str, valid: impl Iterator<Item = &'a str>) -> 
 }
 
 /// The error for a name that is none of `valid`.
-pub(crate) fn unknown<'a>(field: &str, value: &str, valid: impl IntoIterator<Item = &'a str>) -> InputError {
+pub fn unknown<'a>(field: &str, value: &str, valid: impl IntoIterator<Item = &'a str>) -> InputError {
     let valid: Vec<&str> = valid.into_iter().collect();
     let near = nearest(value, valid.iter().copied());
     InputError::new(format!("must be one of {}{near}", valid.join(", "))).field(field).value(value)
 }
 
 /// Whether `minimum ≤ value ≤ maximum`.
-pub(crate) fn within(
-    field: &str,
-    value: f64,
-    minimum: f64,
-    maximum: f64,
-    unit: &str,
-) -> Result<(), InputError> {
+pub fn within(field: &str, value: f64, minimum: f64, maximum: f64, unit: &str) -> Result<(), InputError> {
     if value >= minimum && value <= maximum {
         return Ok(());
     }
@@ -44,7 +38,7 @@ pub(crate) fn within(
 }
 
 /// [`within`] for the key of an effect's table.
-pub(crate) fn one(
+pub fn one(
     table: &str,
     key: &str,
     value: f64,
@@ -56,7 +50,7 @@ pub(crate) fn one(
 }
 
 /// [`one`] for every entry of an array.
-pub(crate) fn each(
+pub fn each(
     table: &str,
     key: &str,
     values: impl IntoIterator<Item = f64>,
@@ -68,13 +62,7 @@ pub(crate) fn each(
 }
 
 /// Whether `minimum < value < maximum`.
-pub(super) fn between(
-    field: &str,
-    value: f64,
-    minimum: f64,
-    maximum: f64,
-    unit: &str,
-) -> Result<(), InputError> {
+pub fn between(field: &str, value: f64, minimum: f64, maximum: f64, unit: &str) -> Result<(), InputError> {
     if value > minimum && value < maximum {
         return Ok(());
     }

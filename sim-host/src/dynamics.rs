@@ -29,49 +29,7 @@ use crate::effects::vehicle::{
 };
 use crate::effects::{Moment, OPTIONAL};
 
-/// Standard gravity, m/s².
-pub const GRAVITY: f64 = 9.80665;
-
-/// What the vehicle is made of (symbols of the paper's table 1).
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct VehicleParams {
-    /// m, kg.
-    pub mass_kg: f64,
-    /// I_xx, I_yy, I_zz, kg·m².
-    pub inertia_kg_m2: Vec3<f64>,
-    /// J_r, kg·m².
-    pub rotor_inertia_kg_m2: f64,
-    /// l, m.
-    pub arm_m: f64,
-    /// b, N·s².
-    pub thrust_coefficient: f64,
-    /// d, N·m·s².
-    pub torque_coefficient: f64,
-    /// Speed of a rotor at full pulse, rad/s.
-    pub max_rad_s: f64,
-    /// Feet below the centre of gravity, m.
-    pub leg_m: f64,
-}
-
-impl VehicleParams {
-    /// OS4 (Bouabdallah, EPFL thesis 3727, 2007). The maximum rotor speed (thrust to weight 2) and the legs
-    /// are our own choice.
-    pub const OS4: Self = Self {
-        mass_kg: 0.65,
-        inertia_kg_m2: vec3(7.5e-3, 7.5e-3, 1.3e-2),
-        rotor_inertia_kg_m2: 6.0e-5,
-        arm_m: 0.23,
-        thrust_coefficient: 3.13e-5,
-        torque_coefficient: 7.5e-7,
-        max_rad_s: 319.0,
-        leg_m: 0.05,
-    };
-
-    /// Thrust of all rotors at full speed, N.
-    pub fn max_thrust_n(&self) -> f64 {
-        4.0 * self.thrust_coefficient * self.max_rad_s * self.max_rad_s
-    }
-}
+pub use vehicle::{GRAVITY, VehicleParams};
 
 /// How the vehicle is held.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -159,9 +117,7 @@ pub struct Vehicle {
     jumps: bool,
     /// Whether something has changed since `slope` that the next step starts with.
     stale: bool,
-    /// l sin(π/4): lever of a rotor in roll and pitch, m.
-    lever_m: f64,
-    /// d/b: reaction torque of a rotor to its thrust, m.
+    /// ±d/b: yaw torque of the front left rotor for its thrust, m.
     torque_per_thrust: f64,
     per_mass: f64,
     per_inertia: Vec3<f64>,
@@ -207,8 +163,8 @@ impl Vehicle {
             },
             jumps: false,
             stale: false,
-            lever_m: params.arm_m * std::f64::consts::FRAC_1_SQRT_2,
-            torque_per_thrust: params.torque_coefficient / params.thrust_coefficient,
+            torque_per_thrust: f64::from(params.spin.sign()) * params.torque_coefficient
+                / params.thrust_coefficient,
             per_mass: 1.0 / params.mass_kg,
             per_inertia: vec3(
                 1.0 / params.inertia_kg_m2.x,
@@ -425,8 +381,8 @@ impl Vehicle {
         Load {
             force: thrust_direction(matrix) * -(t1 + t2 + t3 + t4),
             torque: vec3(
-                self.lever_m * (t1 - t2 - t3 + t4),
-                self.lever_m * (t1 + t2 - t3 - t4),
+                self.params.right_m * (t1 - t2 - t3 + t4),
+                self.params.forward_m * (t1 + t2 - t3 - t4),
                 self.torque_per_thrust * (q1 - q2 + q3 - q4),
             ) - state.rates.cross(state.rates.scale_by(self.params.inertia_kg_m2)),
         }

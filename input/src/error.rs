@@ -16,7 +16,7 @@ const LONGEST_VALUE: usize = 60;
 ///
 /// Built up from what the place of the error knows:
 /// ```
-/// use sim_host::input_error::InputError;
+/// use input::InputError;
 /// let error = InputError::new("must be above 0 kg").field("mass_kg").value("-0.65").line(12).file("x4.toml");
 /// assert_eq!(error.to_string(), "x4.toml:12: mass_kg = -0.65: must be above 0 kg");
 /// ```
@@ -39,6 +39,11 @@ impl InputError {
     pub fn file(mut self, path: impl AsRef<Path>) -> Self {
         self.file = Some(path.as_ref().display().to_string());
         self
+    }
+
+    /// Whether it says which file it is in.
+    pub fn has_file(&self) -> bool {
+        self.file.is_some()
     }
 
     /// The line, counted from 1.

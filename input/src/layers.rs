@@ -13,8 +13,8 @@ use toml::Spanned;
 use toml::de::{DeTable, DeValue, Deserializer};
 use xxhash_rust::xxh3::xxh3_64;
 
-use super::check::with_suggestion;
-use crate::input_error::InputError;
+use crate::InputError;
+use crate::check::with_suggestion;
 
 /// Reads a file that a scene names.
 pub type ReadText<'a> = &'a dyn Fn(&Path) -> io::Result<String>;
@@ -33,12 +33,12 @@ pub fn text_of(path: &Path) -> io::Result<String> {
 
 /// The texts that a scene was put together from.
 #[derive(Default)]
-pub struct Sources<'a> {
+pub struct Layers<'a> {
     /// Name, text, and where the text's spans begin.
     texts: Vec<(String, &'a str, usize)>,
 }
 
-impl<'a> Sources<'a> {
+impl<'a> Layers<'a> {
     /// Reads one more text.
     pub fn add(&mut self, name: &str, text: &'a str) -> Result<DeTable<'a>, InputError> {
         let base = self.texts.last().map_or(0, |(_, text, base)| base + text.len() + 1);
@@ -86,7 +86,7 @@ impl<'a> Sources<'a> {
 
 /// The string at the top of a text under `key`, if there is one.
 pub fn text_at(name: &str, text: &str, key: &str) -> Result<Option<String>, InputError> {
-    let table = Sources::default().add(name, text)?;
+    let table = Layers::default().add(name, text)?;
     Ok(string(&table, key))
 }
 

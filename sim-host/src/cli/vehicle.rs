@@ -1,0 +1,255 @@
+//! The command `vehicle`: what a vehicle file means.
+
+use std::fmt::Write as _;
+use std::path::PathBuf;
+
+use flight_core::control::ControlParams;
+use input::InputError;
+use serde_json::{Value, json};
+use sim_host::flight::{Flight, Observer, StepView};
+use sim_host::output_file::spare;
+use sim_host::report::{self, Recorder};
+use sim_host::scene::Scene;
+use vehicle::{Axis, Loop, MARGIN_DEG, Margin, Plant, Tuned, Vehicle, authority_rad_s2, tune};
+
+use super::Answer;
+
+#[derive(clap::Args)]
+pub struct VehicleArguments {
+    /// A built-in vehicle or a vehicle file
+    vehicle: String,
+    /// Propose gains for a phase margin of 60°, and fly the scene `steps` with them
+    #[arg(long)]
+    tune: bool,
+    /// Write the flight with the proposed gains as a page with plots
+    #[arg(long, value_name = "F.html", requires = "tune")]
+    report: Option<PathBuf>,
+}
+
+/// A step of 30° that is flown worse than this is not flown well: largest error of the attitude's estimate apart, the
+/// tilt beyond what was asked for, share of the step.
+const LARGEST_OVERSHOOT: f64 = 0.25;
+
+pub fn run(arguments: &VehicleArguments) -> Result<Answer, InputError> {
+    let vehicle = Vehicle::load(&arguments.vehicle)?;
+    if let Some(out) = &arguments.report {
+        spare(&[std::path::Path::new(&arguments.vehicle)], "--report", out)?;
+    }
+    let plant = Plant::of(&vehicle);
+    let mut text = format!("{}: {}\n", vehicle.name, vehicle.description);
+    let mut json = json!({ "vehicle": vehicle.name, "description": vehicle.description });
+    derived(&vehicle, &mut text, &mut json);
+    limits(&vehicle, &mut text, &mut json);
+    delays(&plant, &mut text, &mut json);
+    loops(&plant, &vehicle.control, &mut text, &mut json);
+    let warnings = warnings(&vehicle, &plant);
+    if !warnings.is_empty() {
+        text.push_str("\n  to look after");
+        warnings.iter().for_each(|warning| write_line(&mut text, warning));
+    }
+    json["warnings"] = json!(warnings);
+    let mut failed = false;
+    if arguments.tune {
+        failed = proposal(arguments, &vehicle, &plant, &mut text, &mut json)?;
+    }
+    Ok(Answer { json, text, failed })
+}
+
+fn write_line(text: &mut String, line: &str) {
+    write!(text, "\n    {line}").expect("a String takes everything");
+}
+
+/// What the file does not say.
+fn derived(vehicle: &Vehicle, text: &mut String, json: &mut Value) {
+    text.push_str("\n  follows from the file");
+    for derived in &vehicle.derived {
+        let estimate = if derived.estimate { ", an ESTIMATE" } else { "" };
+        write_line(text, &format!("{:<40}{:<20}{}{estimate}", derived.what, derived.value, derived.how));
+    }
+    let list = vehicle.derived.iter().map(|derived| {
+        json!({ "what": derived.what, "value": derived.value, "how": derived.how, "estimate": derived.estimate })
+    });
+    json["derived"] = list.collect();
+}
+
+fn limits(vehicle: &Vehicle, text: &mut String, json: &mut Value) {
+    let v = &vehicle.params;
+    let [roll, pitch, yaw] = authority_rad_s2(v);
+    let control = &vehicle.control;
+    let deg_s = |rad_s: f32| f64::from(rad_s).to_degrees();
+    text.push_str("\n\n  can do");
+    write_line(
+        text,
+        &format!(
+            "{:<40}{:.0} rad/s, {:.0} rpm",
+            "rotors at hover",
+            v.hover_rad_s(),
+            v.hover_rad_s() * 9.549_297
+        ),
+    );
+    write_line(
+        text,
+        &format!("{:<40}{roll:.0}, {pitch:.0}, {yaw:.1} rad/s²", "angular acceleration at hover"),
+    );
+    write_line(
+        text,
+        &format!(
+            "{:<40}{:.0}°, {:.0}°/s, yaw {:.0}°/s",
+            "full sticks ask for",
+            deg_s(control.max_tilt_rad),
+            deg_s(control.max_stick_rate_rad_s),
+            deg_s(control.max_yaw_rate_rad_s)
+        ),
+    );
+    json["hover_throttle"] = json!(v.hover_throttle());
+    json["thrust_to_weight"] = json!(1.0 / v.hover_throttle());
+    json["hover_rad_s"] = json!(v.hover_rad_s());
+    json["authority_rad_s2"] = json!([roll, pitch, yaw]);
+}
+
+/// From a motion to the thrust against it.
+fn delays(plant: &Plant, text: &mut String, json: &mut Value) {
+    let ms = |s: f64| s * 1e3;
+    text.push_str("\n\n  delays, ms");
+    write_line(
+        text,
+        &format!(
+            "{:<40}{:.1} prefilter, {:.2} sample to motor, {:.0} rotors (lag)",
+            "from a motion to the thrust against it",
+            ms(plant.prefilter_delay_s()),
+            ms(plant.delay_s),
+            ms(plant.lag_s)
+        ),
+    );
+    json["delays_ms"] = json!({
+        "prefilter": ms(plant.prefilter_delay_s()), "sample_to_motor": ms(plant.delay_s), "rotor_lag": ms(plant.lag_s),
+    });
+}
+
+fn loops(plant: &Plant, control: &ControlParams, text: &mut String, json: &mut Value) {
+    text.push_str("\n\n  loops, broken at the rotors");
+    let mut list = Vec::new();
+    for (axis, name) in [(Axis::Roll, "roll"), (Axis::Pitch, "pitch"), (Axis::Yaw, "yaw")] {
+        let gains = Loop::of(control, axis);
+        let both = plant.margin(&gains);
+        let rate = plant.margin(&Loop { k: 0.0, ..gains });
+        write_line(
+            text,
+            &format!("{name:<40}{}; the rate loop alone {}", margin_text(&both), margin_text(&rate)),
+        );
+        list.push(json!({
+            "axis": name, "p": gains.p, "i": gains.i, "d": gains.d, "k": gains.k,
+            "crossover_rad_s": both.crossover_rad_s, "phase_margin_deg": both.phase_deg,
+            "rate_crossover_rad_s": rate.crossover_rad_s, "rate_phase_margin_deg": rate.phase_deg,
+        }));
+    }
+    json["loops"] = Value::Array(list);
+}
+
+fn margin_text(margin: &Margin) -> String {
+    format!(
+        "crosses over at {:.1} rad/s with {:.0}° of phase margin",
+        margin.crossover_rad_s, margin.phase_deg
+    )
+}
+
+/// What is unusual, and why it matters.
+fn warnings(vehicle: &Vehicle, plant: &Plant) -> Vec<String> {
+    let mut warnings = Vec::new();
+    let hover = vehicle.params.hover_throttle();
+    if hover > 0.6 {
+        warnings.push(format!(
+            "hovering takes {:.0} % of the thrust: little is left to climb or to steer",
+            hover * 100.0
+        ));
+    }
+    if hover < 0.12 {
+        warnings.push(format!(
+            "hovering takes {:.0} % of the thrust: a hundredth of the throttle stick is {:.0} % of the weight",
+            hover * 100.0,
+            1.0 / hover
+        ));
+    }
+    for (axis, name) in [(Axis::Roll, "roll"), (Axis::Pitch, "pitch"), (Axis::Yaw, "yaw")] {
+        let margin = plant.margin(&Loop::of(&vehicle.control, axis));
+        if margin.phase_deg < 35.0 {
+            warnings.push(format!(
+                "{name} has {:.0}° of phase margin: it will swing; --tune proposes other gains",
+                margin.phase_deg
+            ));
+        }
+    }
+    for derived in vehicle.derived.iter().filter(|derived| derived.estimate) {
+        warnings.push(format!("{} is an estimate ({})", derived.what, derived.how));
+    }
+    warnings
+}
+
+/// The gains in the form of a vehicle file.
+fn gains_table(control: &ControlParams) -> String {
+    let three = |v: flight_core::geometry::Vec3<f32>| format!("[{:?}, {:?}, {:?}]", v.x, v.y, v.z);
+    format!(
+        "[gains]\ntilt_p = {:?}\nheading_p = {:?}\nrate_p = {}\nrate_i = {}\nrate_d = {}\nmax_integral_rad_s2 = {}\n",
+        control.tilt_p,
+        control.heading_p,
+        three(control.rate_p),
+        three(control.rate_i),
+        three(control.rate_d),
+        three(control.max_integral_rad_s2)
+    )
+}
+
+/// Proposes gains, and flies with them. Returns whether that went wrong.
+fn proposal(
+    arguments: &VehicleArguments,
+    vehicle: &Vehicle,
+    plant: &Plant,
+    text: &mut String,
+    json: &mut Value,
+) -> Result<bool, InputError> {
+    let tuned: Tuned = tune(&vehicle.params, plant, MARGIN_DEG);
+    let mut control = vehicle.control;
+    tuned.put_into(&mut control);
+    let mut scene = Scene::load_with_vehicle("steps", Some(&arguments.vehicle))?;
+    scene.set_control(control)?;
+    let mut observers = (Steps::default(), arguments.report.as_ref().map(|_| Recorder::new()));
+    let outcome = Flight::new(&scene, scene.seed).run(&mut observers);
+    let (steps, recorder) = observers;
+    if let (Some(path), Some(recorder)) = (&arguments.report, &recorder) {
+        report::write(path, &scene, scene.seed, &outcome, recorder)?;
+    }
+    let asked_rad = 0.6667 * f64::from(control.max_tilt_rad);
+    let overshoot = steps.largest_tilt_rad / asked_rad - 1.0;
+    let table = gains_table(&control);
+    text.push_str("\n\n  proposed, to go into the vehicle's file\n\n");
+    text.push_str(&table);
+    loops(plant, &control, text, &mut json["proposed"]);
+    json["proposed"]["gains"] = json!(table);
+    write!(
+        text,
+        "\n\n  flown in `steps`: doublets of {:.0}°, overshoot {:.0} %, {}",
+        asked_rad.to_degrees(),
+        overshoot * 100.0,
+        outcome
+            .crash
+            .map_or("no crash".into(), |(crash, at_s)| format!("CRASHED at {at_s:.2} s: {}", crash.text())),
+    )
+    .expect("a String takes everything");
+    json["proposed"]["overshoot"] = json!(overshoot);
+    json["proposed"]["crash"] =
+        json!(outcome.crash.map(|(crash, at_s)| format!("{} at {at_s:.3} s", crash.text())));
+    Ok(outcome.crash.is_some() || overshoot > LARGEST_OVERSHOOT)
+}
+
+/// The largest tilt in truth.
+#[derive(Default)]
+struct Steps {
+    largest_tilt_rad: f64,
+}
+
+impl Observer for Steps {
+    fn step(&mut self, view: &StepView) {
+        let tilt = libm::acos(view.truth.cos_tilt().clamp(-1.0, 1.0));
+        self.largest_tilt_rad = self.largest_tilt_rad.max(tilt);
+    }
+}

@@ -1,0 +1,613 @@
+//! The tables and keys of a vehicle file, with their units in the keys.
+
+use flight_core::control::ControlParams;
+use flight_core::estimator::EstimatorParams;
+use flight_core::geometry::{Vec3, vec3};
+use flight_core::mixer::Spin;
+use flight_core::rc::{ArmBy, ChannelMap};
+use input::InputError;
+use input::check::{unknown, within};
+use serde::Deserialize;
+
+use crate::tune::{self, MARGIN_DEG};
+use crate::{Derived, EscProtocol, Vehicle, VehicleParams};
+
+/// Volts of a cell below which a flight may not start, and must end.
+const ARM_V: f64 = 3.5;
+const CRITICAL_V: f64 = 3.0;
+/// Volts of a cell under load, for the speed that a motor's kV gives.
+const LOADED_CELL_V: f64 = 3.7;
+/// Share of kV × volts that a motor reaches under its propeller: 70 to 80 % on thrust stands.
+const LOADED_SHARE: f64 = 0.75;
+/// d/b as a share of the propeller's diameter: 0.08 to 0.11 for two and three blades.
+const TORQUE_PER_DIAMETER: f64 = 0.1;
+/// Drag over mass, 1/s: rotor drag of multirotors is 0.2 to 0.5 (OS4's figure: 0.38).
+const DRAG_PER_MASS: f64 = 0.35;
+/// Throttle of the descent without a pilot, as a share of hover: it sinks with a twentieth of its weight.
+const DESCENT_SHARE: f64 = 0.95;
+/// Throttle at which control begins, as a share of hover.
+const BEGIN_SHARE: f64 = 0.2;
+/// Speed at which armed rotors idle, as a share of hover's: 2 % of the thrust.
+const IDLE_SHARE: f64 = 0.142;
+
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct File {
+    #[serde(default)]
+    description: String,
+    mass_g: f64,
+    cells: u8,
+    #[serde(default)]
+    feet_mm: Option<f64>,
+    inertia: Inertia,
+    rotors: Rotors,
+    drag: Option<Drag>,
+    #[serde(default)]
+    esc: Esc,
+    gains: Option<Gains>,
+    #[serde(default)]
+    rates: Rates,
+    #[serde(default)]
+    filters: Filters,
+    #[serde(default)]
+    battery: Battery,
+    #[serde(default)]
+    radio: Radio,
+}
+
+/// `[inertia]`: measured, or an estimate from what the vehicle is made of.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Inertia {
+    kg_m2: Option<[f64; 3]>,
+    hub_g: Option<f64>,
+    hub_mm: Option<[f64; 3]>,
+}
+
+/// `[rotors]`
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Rotors {
+    arm_mm: Option<f64>,
+    forward_mm: Option<f64>,
+    right_mm: Option<f64>,
+    #[serde(default)]
+    spin: SpinName,
+    thrust_n_s2: Option<f64>,
+    full_thrust_g: Option<f64>,
+    torque_n_m_s2: Option<f64>,
+    propeller_mm: Option<f64>,
+    max_rad_s: Option<f64>,
+    max_rpm: Option<f64>,
+    kv_rpm_per_v: Option<f64>,
+    idle_rad_s: Option<f64>,
+    inertia_kg_m2: Option<f64>,
+    propeller_g: Option<f64>,
+    lag_ms: f64,
+}
+
+#[derive(Clone, Copy, Debug, Default, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+enum SpinName {
+    #[default]
+    PropsIn,
+    PropsOut,
+}
+
+/// `[drag]`
+#[derive(Clone, Copy, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Drag {
+    kg_per_s: [f64; 3],
+}
+
+/// `[esc]`
+#[derive(Clone, Copy, Debug, Default, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Esc {
+    #[serde(default)]
+    protocol: EscProtocol,
+}
+
+/// `[gains]`: all of them, or none.
+#[derive(Clone, Copy, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Gains {
+    tilt_p: f64,
+    heading_p: f64,
+    rate_p: [f64; 3],
+    rate_i: [f64; 3],
+    rate_d: [f64; 3],
+    max_integral_rad_s2: [f64; 3],
+}
+
+/// `[rates]`: what full sticks ask for.
+#[derive(Clone, Copy, Debug, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+struct Rates {
+    max_tilt_deg: f64,
+    max_deg_s: f64,
+    max_yaw_deg_s: f64,
+    max_tilt_deg_s: f64,
+}
+
+impl Default for Rates {
+    fn default() -> Self {
+        Self {
+            max_tilt_deg: 45.0,
+            max_deg_s: 180.0,
+            max_yaw_deg_s: 90.0,
+            max_tilt_deg_s: 4.5_f64.to_degrees(),
+        }
+    }
+}
+
+/// `[filters]`
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+struct Filters {
+    prefilter_hz: Option<f64>,
+    estimator: String,
+}
+
+impl Default for Filters {
+    fn default() -> Self {
+        Self { prefilter_hz: Some(30.0), estimator: "flight".into() }
+    }
+}
+
+/// `[battery]`
+#[derive(Clone, Copy, Debug, Default, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+struct Battery {
+    arm_v_per_cell: Option<f64>,
+    critical_v_per_cell: Option<f64>,
+}
+
+/// `[radio]`
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+struct Radio {
+    /// Order of aileron (roll), elevator (pitch), throttle and rudder (yaw) on the first four channels.
+    order: String,
+    /// Counted from 1.
+    arm_channel: u8,
+    mode_channel: u8,
+    arm_by: ArmByName,
+}
+
+impl Default for Radio {
+    fn default() -> Self {
+        Self { order: "AETR".into(), arm_channel: 5, mode_channel: 6, arm_by: ArmByName::Sticks }
+    }
+}
+
+#[derive(Clone, Copy, Debug, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+enum ArmByName {
+    Sticks,
+    Switch,
+}
+
+/// Exactly one of several keys that say the same thing.
+fn one_of(table: &str, keys: &[(&str, bool)]) -> Result<(), InputError> {
+    let given: Vec<&str> = keys.iter().filter(|(_, given)| *given).map(|(key, _)| *key).collect();
+    let all: Vec<&str> = keys.iter().map(|(key, _)| *key).collect();
+    match given.len() {
+        1 => Ok(()),
+        0 => Err(InputError::new(format!("needs one of {}", all.join(", "))).field(table)),
+        _ => Err(InputError::new(format!("has {}: one of them says it", given.join(" and "))).field(table)),
+    }
+}
+
+fn each(field: &str, values: [f64; 3], minimum: f64, maximum: f64, unit: &str) -> Result<(), InputError> {
+    values.into_iter().try_for_each(|value| within(field, value, minimum, maximum, unit))
+}
+
+/// The same number, if it is given, after its check.
+fn given(
+    field: &str,
+    value: Option<f64>,
+    minimum: f64,
+    maximum: f64,
+    unit: &str,
+) -> Result<Option<f64>, InputError> {
+    value.map(|value| within(field, value, minimum, maximum, unit).map(|()| value)).transpose()
+}
+
+/// What is found on the way.
+#[derive(Default)]
+struct Notes(Vec<Derived>);
+
+impl Notes {
+    fn add(&mut self, what: &'static str, value: impl ToString, how: impl Into<String>, estimate: bool) {
+        self.0.push(Derived { what, value: value.to_string(), how: how.into(), estimate });
+    }
+}
+
+impl File {
+    pub fn build(self, name: &str) -> Result<Vehicle, InputError> {
+        let mut notes = Notes::default();
+        within("mass_g", self.mass_g, 10.0, 1.0e5, "g")?;
+        within("cells", f64::from(self.cells), 1.0, 24.0, "cells")?;
+        let mass_kg = self.mass_g / 1e3;
+        let params = self.params(mass_kg, &mut notes)?;
+
+        let hover = params.hover_throttle();
+        if hover > 0.85 {
+            return Err(InputError::new(format!(
+                "is too much for rotors that lift {:.0} g at full speed: hovering takes {:.0} % of their thrust, and \
+                 85 % at most leave room to steer",
+                params.max_thrust_n() / crate::GRAVITY * 1e3,
+                hover * 100.0
+            ))
+            .field("mass_g")
+            .value(self.mass_g));
+        }
+        notes.add(
+            "hover throttle",
+            format!("{:.1} %", hover * 100.0),
+            "weight over thrust at full speed",
+            false,
+        );
+        notes.add(
+            "thrust to weight",
+            format!("{:.2}", 1.0 / hover),
+            "thrust at full speed over weight",
+            false,
+        );
+        notes.add(
+            "descent throttle",
+            format!("{:.1} %", DESCENT_SHARE * hover * 100.0),
+            "95 % of hover",
+            false,
+        );
+        notes.add(
+            "throttle at which control begins",
+            format!("{:.1} %", BEGIN_SHARE * hover * 100.0),
+            "a fifth of hover",
+            false,
+        );
+
+        let prefilter_hz = given("filters.prefilter_hz", self.filters.prefilter_hz, 1.0, 400.0, "Hz")?;
+        let estimator = estimator(&self.filters.estimator)?;
+        let control = self.control(&params, hover, prefilter_hz, &mut notes)?;
+        let volts = |key: &str, value: Option<f64>, usual: f64| {
+            Ok::<_, InputError>(
+                f64::from(self.cells) * given(key, value, 2.0, 4.35, "V a cell")?.unwrap_or(usual),
+            )
+        };
+        let min_arm_voltage_v = volts("battery.arm_v_per_cell", self.battery.arm_v_per_cell, ARM_V)?;
+        let critical_voltage_v =
+            volts("battery.critical_v_per_cell", self.battery.critical_v_per_cell, CRITICAL_V)?;
+        for (what, voltage) in
+            [("voltage to start a flight", min_arm_voltage_v), ("voltage to end it", critical_voltage_v)]
+        {
+            let how = format!("{:.2} V a cell, {} cells", voltage / f64::from(self.cells), self.cells);
+            notes.add(what, format!("{voltage:.1} V"), how, false);
+        }
+        if critical_voltage_v >= min_arm_voltage_v {
+            return Err(InputError::new(format!(
+                "must be below the {ARM_V} V or so at which a flight may start"
+            ))
+            .field("battery.critical_v_per_cell")
+            .value(critical_voltage_v / f64::from(self.cells)));
+        }
+        let channels = self.radio.channels()?;
+        Ok(Vehicle {
+            name: name.into(),
+            description: self.description,
+            params,
+            cells: self.cells,
+            esc: self.esc.protocol,
+            control,
+            estimator,
+            prefilter_hz,
+            min_arm_voltage_v,
+            critical_voltage_v,
+            descent_throttle: DESCENT_SHARE * hover,
+            channels,
+            arm_by: match self.radio.arm_by {
+                ArmByName::Sticks => ArmBy::Sticks,
+                ArmByName::Switch => ArmBy::Switch,
+            },
+            derived: notes.0,
+        })
+    }
+
+    fn params(&self, mass_kg: f64, notes: &mut Notes) -> Result<VehicleParams, InputError> {
+        let rotors = &self.rotors;
+        let (forward_m, right_m) = rotors.places()?;
+        let arm_m = libm::hypot(forward_m, right_m);
+        let max_rad_s = rotors.max_rad_s(self.cells, notes)?;
+        let thrust_coefficient = rotors.thrust_coefficient(max_rad_s, notes)?;
+        let torque_coefficient = rotors.torque_coefficient(thrust_coefficient, notes)?;
+        let rotor_inertia_kg_m2 = rotors.rotor_inertia(notes)?;
+        within("rotors.lag_ms", rotors.lag_ms, 1.0, 500.0, "ms")?;
+        let inertia_kg_m2 = self.inertia.build(mass_kg, forward_m, right_m, notes)?;
+        let feet_m = match given("feet_mm", self.feet_mm, 5.0, 1e3, "mm")? {
+            Some(feet_mm) => feet_mm / 1e3,
+            None => {
+                // Flat on its belly, a fifth of the arm below the centre of gravity.
+                let feet_m = (0.2 * arm_m).max(0.01);
+                notes.add("feet", format!("{:.0} mm", feet_m * 1e3), "a fifth of the arm", true);
+                feet_m
+            }
+        };
+        let drag_kg_per_s = match self.drag {
+            Some(Drag { kg_per_s }) => {
+                each("drag.kg_per_s", kg_per_s, 0.0, 100.0, "kg/s")?;
+                Vec3::from(kg_per_s)
+            }
+            None => {
+                let drag = DRAG_PER_MASS * mass_kg;
+                let how = "0.35 /s of the mass, a third of g at 9 m/s";
+                notes.add("drag", format!("{drag:.3} kg/s"), how, true);
+                vec3(drag, drag, drag)
+            }
+        };
+        let mut params = VehicleParams {
+            mass_kg,
+            inertia_kg_m2,
+            rotor_inertia_kg_m2,
+            forward_m,
+            right_m,
+            spin: match rotors.spin {
+                SpinName::PropsIn => Spin::PropsIn,
+                SpinName::PropsOut => Spin::PropsOut,
+            },
+            thrust_coefficient,
+            torque_coefficient,
+            idle_rad_s: 0.0,
+            max_rad_s,
+            lag_s: rotors.lag_ms / 1e3,
+            feet_m,
+            drag_kg_per_s,
+        };
+        params.idle_rad_s =
+            match given("rotors.idle_rad_s", rotors.idle_rad_s, 0.0, 0.5 * max_rad_s, "rad/s")? {
+                Some(idle) => idle,
+                None => {
+                    let idle = (IDLE_SHARE * params.hover_rad_s()).min(0.5 * max_rad_s);
+                    notes.add("idle speed", format!("{idle:.0} rad/s"), "2 % of the thrust of hover", false);
+                    idle
+                }
+            };
+        Ok(params)
+    }
+
+    fn control(
+        &self,
+        params: &VehicleParams,
+        hover: f64,
+        prefilter_hz: Option<f64>,
+        notes: &mut Notes,
+    ) -> Result<ControlParams, InputError> {
+        let Rates { max_tilt_deg, max_deg_s, max_yaw_deg_s, max_tilt_deg_s } = self.rates;
+        within("rates.max_tilt_deg", max_tilt_deg, 1.0, 80.0, "deg")?;
+        within("rates.max_deg_s", max_deg_s, 1.0, 2_000.0, "deg/s")?;
+        within("rates.max_yaw_deg_s", max_yaw_deg_s, 1.0, 2_000.0, "deg/s")?;
+        within("rates.max_tilt_deg_s", max_tilt_deg_s, 1.0, 2_000.0, "deg/s")?;
+        let mut control = ControlParams {
+            max_tilt_rad: max_tilt_deg.to_radians() as f32,
+            max_stick_rate_rad_s: max_deg_s.to_radians() as f32,
+            max_yaw_rate_rad_s: max_yaw_deg_s.to_radians() as f32,
+            max_tilt_rate_rad_s: max_tilt_deg_s.to_radians() as f32,
+            begin_throttle: (BEGIN_SHARE * hover) as f32,
+            ..ControlParams::OS4
+        };
+        let Some(gains) = self.gains else {
+            let plant = tune::plant(params, prefilter_hz, self.esc.protocol);
+            let tuned = tune::tune(params, &plant, MARGIN_DEG);
+            tuned.put_into(&mut control);
+            let how = format!("a phase margin of {MARGIN_DEG:.0}° (docs/tuning.md)");
+            let value = format!("P {:.1} and {:.1} /s", tuned.tilt.p, tuned.yaw.p);
+            notes.add("gains of the rate loops, tilt and yaw", value, how, false);
+            return Ok(control);
+        };
+        within("gains.tilt_p", gains.tilt_p, 0.0, 100.0, "1/s")?;
+        within("gains.heading_p", gains.heading_p, 0.0, 100.0, "1/s")?;
+        each("gains.rate_p", gains.rate_p, 0.0, 1e3, "1/s")?;
+        each("gains.rate_i", gains.rate_i, 0.0, 1e4, "1/s²")?;
+        each("gains.rate_d", gains.rate_d, 0.0, 10.0, "")?;
+        each("gains.max_integral_rad_s2", gains.max_integral_rad_s2, 0.0, 1e3, "rad/s²")?;
+        let single = |[x, y, z]: [f64; 3]| vec3(x as f32, y as f32, z as f32);
+        control.tilt_p = gains.tilt_p as f32;
+        control.heading_p = gains.heading_p as f32;
+        control.rate_p = single(gains.rate_p);
+        control.rate_i = single(gains.rate_i);
+        control.rate_d = single(gains.rate_d);
+        control.max_integral_rad_s2 = single(gains.max_integral_rad_s2);
+        Ok(control)
+    }
+}
+
+/// An estimator by its name.
+pub fn estimator(name: &str) -> Result<EstimatorParams, InputError> {
+    let found = EstimatorParams::PRESETS.into_iter().find(|(preset, _)| *preset == name);
+    found
+        .map(|(_, estimator)| estimator)
+        .ok_or_else(|| unknown("filters.estimator", name, EstimatorParams::PRESETS.map(|preset| preset.0)))
+}
+
+impl Inertia {
+    fn build(
+        &self,
+        mass_kg: f64,
+        forward_m: f64,
+        right_m: f64,
+        notes: &mut Notes,
+    ) -> Result<Vec3<f64>, InputError> {
+        let keys = [("kg_m2", self.kg_m2.is_some()), ("hub_g with hub_mm", self.hub_g.is_some())];
+        one_of("inertia", &keys)?;
+        let inertia = match (self.kg_m2, self.hub_g, self.hub_mm) {
+            (Some(inertia), _, _) => {
+                each("inertia.kg_m2", inertia, 1e-6, 100.0, "kg m²")?;
+                inertia
+            }
+            (None, Some(hub_g), Some(hub_mm)) => {
+                within("inertia.hub_g", hub_g, 1.0, mass_kg * 1e3, "g")?;
+                each("inertia.hub_mm", hub_mm, 1.0, 2_000.0, "mm")?;
+                // A box of length, width and height, and the rest as points at the rotors.
+                let hub_kg = hub_g / 1e3;
+                let outside_kg = mass_kg - hub_kg;
+                let [length, width, height] = hub_mm.map(|mm| mm / 1e3);
+                let of_box = |a: f64, b: f64| hub_kg * (a * a + b * b) / 12.0;
+                let inertia = [
+                    of_box(width, height) + outside_kg * right_m * right_m,
+                    of_box(length, height) + outside_kg * forward_m * forward_m,
+                    of_box(length, width) + outside_kg * (forward_m * forward_m + right_m * right_m),
+                ];
+                let [x, y, z] = inertia.map(|inertia| inertia * 1e3);
+                let how = format!(
+                    "a box of {hub_g} g and {:.0} g at the rotors: measure it, or take it from the drawing",
+                    outside_kg * 1e3
+                );
+                notes.add("moments of inertia", format!("{x:.2}, {y:.2}, {z:.2} g m²"), how, true);
+                inertia
+            }
+            _ => return Err(InputError::new("is missing: hub_g needs it").field("inertia.hub_mm")),
+        };
+        // No body has a moment larger than the other two together.
+        let [x, y, z] = inertia;
+        for (value, others) in [(x, y + z), (y, x + z), (z, x + y)] {
+            // Published ones break that by a percent.
+            if value > others * 1.05 {
+                return Err(InputError::new(
+                    "must be at most the sum of the other two: no body has such moments",
+                )
+                .field("inertia.kg_m2")
+                .value(value));
+            }
+        }
+        Ok(Vec3::from(inertia))
+    }
+}
+
+impl Rotors {
+    fn places(&self) -> Result<(f64, f64), InputError> {
+        let apart = self.forward_mm.is_some() || self.right_mm.is_some();
+        one_of("rotors", &[("arm_mm", self.arm_mm.is_some()), ("forward_mm with right_mm", apart)])?;
+        if let Some(arm_mm) = given("rotors.arm_mm", self.arm_mm, 20.0, 5e3, "mm")? {
+            let place_m = arm_mm / 1e3 * std::f64::consts::FRAC_1_SQRT_2;
+            return Ok((place_m, place_m));
+        }
+        let place = |key: &str, value: Option<f64>, other: &str| {
+            given(&format!("rotors.{key}"), value, 14.0, 5e3, "mm")?.map(|mm| mm / 1e3).ok_or_else(|| {
+                InputError::new(format!("is missing: {other} needs it")).field(format!("rotors.{key}"))
+            })
+        };
+        Ok((
+            place("forward_mm", self.forward_mm, "right_mm")?,
+            place("right_mm", self.right_mm, "forward_mm")?,
+        ))
+    }
+
+    fn max_rad_s(&self, cells: u8, notes: &mut Notes) -> Result<f64, InputError> {
+        one_of(
+            "rotors",
+            &[
+                ("max_rad_s", self.max_rad_s.is_some()),
+                ("max_rpm", self.max_rpm.is_some()),
+                ("kv_rpm_per_v", self.kv_rpm_per_v.is_some()),
+            ],
+        )?;
+        if let Some(speed) = given("rotors.max_rad_s", self.max_rad_s, 65.0, 1e4, "rad/s")? {
+            return Ok(speed);
+        }
+        const RAD_S_PER_RPM: f64 = std::f64::consts::TAU / 60.0;
+        if let Some(rpm) = given("rotors.max_rpm", self.max_rpm, 650.0, 9.5e4, "rpm")? {
+            return Ok(rpm * RAD_S_PER_RPM);
+        }
+        let kv = given("rotors.kv_rpm_per_v", self.kv_rpm_per_v, 50.0, 30_000.0, "rpm/V")?.unwrap_or(0.0);
+        let speed = kv * RAD_S_PER_RPM * LOADED_CELL_V * f64::from(cells) * LOADED_SHARE;
+        let how = format!("75 % of {kv} rpm/V at {LOADED_CELL_V} V a cell, {cells} cells");
+        notes.add("speed at full throttle", format!("{speed:.0} rad/s"), how, true);
+        within("rotors.kv_rpm_per_v", speed, 65.0, 1e4, "rad/s at full throttle")?;
+        Ok(speed)
+    }
+
+    fn thrust_coefficient(&self, max_rad_s: f64, notes: &mut Notes) -> Result<f64, InputError> {
+        let keys = [("thrust_n_s2", self.thrust_n_s2), ("full_thrust_g", self.full_thrust_g)];
+        one_of("rotors", &keys.map(|(key, value)| (key, value.is_some())))?;
+        if let Some(b) = given("rotors.thrust_n_s2", self.thrust_n_s2, 1e-9, 0.1, "N s²")? {
+            return Ok(b);
+        }
+        let full_g = given("rotors.full_thrust_g", self.full_thrust_g, 1.0, 1e5, "g")?.unwrap_or(0.0);
+        let b = full_g / 1e3 * crate::GRAVITY / (max_rad_s * max_rad_s);
+        let how = format!("{full_g} g at {max_rad_s:.0} rad/s");
+        notes.add("thrust coefficient", format!("{b:.3e} N s²"), how, false);
+        within("rotors.full_thrust_g", b, 1e-9, 0.1, "N s² of thrust coefficient")?;
+        Ok(b)
+    }
+
+    fn torque_coefficient(&self, b: f64, notes: &mut Notes) -> Result<f64, InputError> {
+        if let Some(d) = given("rotors.torque_n_m_s2", self.torque_n_m_s2, 1e-11, 0.1, "N m s²")? {
+            return Ok(d);
+        }
+        let Some(diameter_mm) = given("rotors.propeller_mm", self.propeller_mm, 20.0, 2e3, "mm")? else {
+            return Err(
+                InputError::new("needs torque_n_m_s2, or propeller_mm for an estimate of it").field("rotors")
+            );
+        };
+        let diameter_m = diameter_mm / 1e3;
+        let d = TORQUE_PER_DIAMETER * diameter_m * b;
+        let how = "a tenth of the propeller's diameter times the thrust coefficient";
+        notes.add("torque coefficient", format!("{d:.3e} N m s²"), how, true);
+        Ok(d)
+    }
+
+    fn rotor_inertia(&self, notes: &mut Notes) -> Result<f64, InputError> {
+        if let Some(inertia) = given("rotors.inertia_kg_m2", self.inertia_kg_m2, 0.0, 1.0, "kg m²")? {
+            return Ok(inertia);
+        }
+        let Some(grams) = given("rotors.propeller_g", self.propeller_g, 0.1, 1e3, "g")? else {
+            notes.add(
+                "moment of inertia of a rotor",
+                "0 kg m²",
+                "neither inertia_kg_m2 nor propeller_g is given",
+                true,
+            );
+            return Ok(0.0);
+        };
+        let Some(diameter_mm) = self.propeller_mm else {
+            return Err(InputError::new("is missing: propeller_g needs it").field("rotors.propeller_mm"));
+        };
+        // A rod.
+        let diameter_m = diameter_mm / 1e3;
+        let inertia = grams / 1e3 * diameter_m * diameter_m / 12.0;
+        notes.add(
+            "moment of inertia of a rotor",
+            format!("{inertia:.2e} kg m²"),
+            "the propeller as a rod",
+            true,
+        );
+        Ok(inertia)
+    }
+}
+
+impl Radio {
+    fn channels(&self) -> Result<ChannelMap, InputError> {
+        let place =
+            |letter: char| self.order.chars().position(|c| c.eq_ignore_ascii_case(&letter)).map(|n| n as u8);
+        let sticks = ['T', 'A', 'E', 'R'].map(place);
+        let (4, [Some(t), Some(a), Some(e), Some(r)]) = (self.order.chars().count(), sticks) else {
+            return Err(InputError::new(
+                "must be A, E, T and R in the order of the channels, such as AETR or TAER",
+            )
+            .field("radio.order")
+            .value(&self.order));
+        };
+        for (field, channel) in
+            [("radio.arm_channel", self.arm_channel), ("radio.mode_channel", self.mode_channel)]
+        {
+            within(field, f64::from(channel), 5.0, 16.0, "(1 to 4 are the sticks)")?;
+        }
+        if self.arm_channel == self.mode_channel {
+            return Err(InputError::new("must not be the arm switch's")
+                .field("radio.mode_channel")
+                .value(self.mode_channel));
+        }
+        Ok(ChannelMap { sticks: [t, a, e, r], arm: self.arm_channel - 1, mode: self.mode_channel - 1 })
+    }
+}

@@ -1,0 +1,179 @@
+use flight_core::FlightController;
+use flight_core::config::Config;
+
+use super::*;
+
+fn os4() -> Vehicle {
+    Vehicle::load("os4").unwrap()
+}
+
+/// OS4's text with a line replaced.
+fn altered(line: &str, by: &str) -> Result<Vehicle, InputError> {
+    let text = BUILT_IN[0].1;
+    assert!(text.contains(line), "no {line}");
+    Vehicle::parse("altered.toml", &text.replace(line, by))
+}
+
+#[test]
+fn every_built_in_vehicle_is_one_that_the_flight_controller_takes() {
+    for (name, _) in BUILT_IN {
+        let vehicle = Vehicle::load(name).unwrap();
+        let params = vehicle.flight_params(&Params::default());
+        FlightController::new(&Config { params, calibration: None }).unwrap();
+        assert!(vehicle.params.hover_throttle() < 0.85, "{name}");
+        assert!(!vehicle.description.is_empty(), "{name}");
+        assert_eq!(
+            vehicle,
+            Vehicle::load(&format!("../vehicles/{name}.toml"))
+                .map(|v| Vehicle { name: vehicle.name.clone(), ..v })
+                .unwrap()
+        );
+    }
+}
+
+/// flight-core's own defaults are those of OS4's file.
+#[test]
+fn os4_is_the_flight_controllers_default() {
+    let ours = os4().flight_params(&Params::default());
+    let default = Params::default();
+    let near = |a: f32, b: f32| (a / b - 1.0).abs() < 1e-3;
+    assert!(near(ours.descent.throttle, default.descent.throttle));
+    assert!(near(ours.control.begin_throttle, default.control.begin_throttle));
+    let same = Params {
+        descent: default.descent,
+        control: ControlParams {
+            begin_throttle: default.control.begin_throttle,
+            max_tilt_rad: default.control.max_tilt_rad,
+            ..ours.control
+        },
+        ..ours
+    };
+    assert_eq!(same, default);
+}
+
+#[test]
+fn os4_in_the_source_is_os4_in_the_file() {
+    assert_eq!(os4().params, VehicleParams::OS4);
+}
+
+/// By hand, in the units of the file: 0.65 kg · 9.80665 = 6.374 N of 4 · 1.2e-6 · 2570² = 31.70 N.
+#[test]
+fn what_is_derived_is_this_vehicles() {
+    let v = Vehicle::load("five-inch").unwrap();
+    assert!((v.params.hover_throttle() - 0.2011).abs() < 1e-4);
+    assert!((v.params.hover_rad_s() - 1152.4).abs() < 0.5);
+    assert!((v.descent_throttle - 0.95 * 0.2011).abs() < 1e-4);
+    assert!((f64::from(v.control.begin_throttle) - 0.2 * 0.2011).abs() < 1e-4);
+    assert_eq!((v.min_arm_voltage_v, v.critical_voltage_v), (14.0, 12.0));
+    assert_eq!(v.params.spin, Spin::PropsIn);
+    // Thrust by a stand's figure: 1.9 kg at 11,000 rpm, 1,151.9 rad/s.
+    let v = Vehicle::load("ten-inch").unwrap();
+    assert!((v.params.thrust_coefficient / (1.9 * 9.80665 / 1151.917_f64.powi(2)) - 1.0).abs() < 1e-6);
+    // A box of 1.5 kg, 180 by 90 by 70 mm, and 0.9 kg 165 mm to the side.
+    let x = 1.5 * (0.09_f64.powi(2) + 0.07_f64.powi(2)) / 12.0 + 0.9 * 0.165_f64.powi(2);
+    assert!((v.params.inertia_kg_m2.x - x).abs() < 1e-9);
+    assert!(v.derived.iter().any(|derived| derived.what == "moments of inertia" && derived.estimate));
+}
+
+#[test]
+fn the_speed_is_that_of_kv_and_cells() {
+    let v = altered("max_rad_s = 319.0", "kv_rpm_per_v = 380.0").unwrap();
+    // 380 rpm/V · 11.1 V · 75 % = 3,163.5 rpm.
+    assert!((v.params.max_rad_s - 3163.5 / 60.0 * std::f64::consts::TAU).abs() < 0.1);
+    assert!(v.derived.iter().any(|derived| derived.what == "speed at full throttle" && derived.estimate));
+}
+
+/// The plant of OS4 with its gains found by hand: 20 rad/s and 61° (without the delay to the motors, which costs
+/// another degree).
+#[test]
+fn os4_has_the_margin_that_its_gains_promise() {
+    let v = os4();
+    let gains = Loop::of(&v.control, Axis::Roll);
+    let plant = Plant { delay_s: 0.0, ..Plant::of(&v) };
+    let margin = plant.margin(&gains);
+    assert!(
+        (margin.crossover_rad_s - 20.0).abs() < 1.0 && (margin.phase_deg - 61.0).abs() < 2.0,
+        "{margin:?}"
+    );
+    // A delay T costs ω T.
+    let late = Plant { delay_s: 5e-3, ..plant }.margin(&gains);
+    let lost = (margin.phase_deg - late.phase_deg).to_radians();
+    assert!((lost / (5e-3 * margin.crossover_rad_s) - 1.0).abs() < 0.05);
+    assert!((plant.prefilter_delay_s() - 7.5e-3).abs() < 0.01e-3);
+}
+
+#[test]
+fn tuned_gains_have_the_margin_and_are_near_those_found_by_hand() {
+    for (name, _) in BUILT_IN {
+        let v = Vehicle::load(name).unwrap();
+        let plant = Plant::of(&v);
+        let tuned = tune(&v.params, &plant, MARGIN_DEG);
+        for gains in [tuned.tilt, Loop { k: 0.0, ..tuned.yaw }] {
+            let margin = plant.margin(&gains);
+            // One of the two limits is reached, and none is passed.
+            let (over_deg, corner) = (margin.phase_deg - MARGIN_DEG, margin.crossover_rad_s * plant.lag_s);
+            assert!(over_deg > -0.2 && corner < 1.005, "{name}: {margin:?}");
+            assert!(over_deg < 0.3 || corner > 0.97, "{name}: {margin:?}");
+        }
+        // With its angle loop, too, yaw is far from swinging.
+        assert!(plant.margin(&tuned.yaw).phase_deg > 35.0, "{name}");
+    }
+    let v = os4();
+    let tuned = tune(&v.params, &Plant::of(&v), MARGIN_DEG);
+    assert!((tuned.tilt.p / 25.0 - 1.0).abs() < 0.1, "{tuned:?}");
+    assert!((tuned.yaw.p / 6.0 - 1.0).abs() < 0.35, "{tuned:?}");
+}
+
+#[test]
+fn mistakes_are_named() {
+    for (line, by, said) in [
+        ("mass_g = 650.0", "mass_g = -1.0", "altered.toml: mass_g = -1: must be from 10 to 100000 g"),
+        (
+            "mass_g = 650.0",
+            "mass_g = 2000.0",
+            "altered.toml: mass_g = 2000: is too much for rotors that lift 1299 g",
+        ),
+        ("mass_g = 650.0", "mass_kg = 0.65", "altered.toml:4: unknown field `mass_kg`"),
+        (
+            "arm_mm = 230.0",
+            "arm_mm = 230.0\nforward_mm = 1.0",
+            "altered.toml: rotors: has arm_mm and forward_mm with right_mm",
+        ),
+        (
+            "arm_mm = 230.0",
+            "forward_mm = 160.0",
+            "altered.toml: rotors.right_mm: is missing: forward_mm needs it",
+        ),
+        ("thrust_n_s2 = 3.13e-5", "", "altered.toml: rotors: needs one of thrust_n_s2, full_thrust_g"),
+        (
+            "kg_m2 = [7.5e-3, 7.5e-3, 1.3e-2]",
+            "kg_m2 = [7.5e-3, 7.5e-3, 1.6e-2]",
+            "inertia.kg_m2 = 0.016: must be at most the sum",
+        ),
+        ("spin = \"props-out\"", "spin = \"props\"", "unknown variant `props`"),
+        ("cells = 3", "cells = 0", "altered.toml: cells = 0: must be from 1 to 24 cells"),
+    ] {
+        let error = altered(line, by).unwrap_err().to_string();
+        assert!(error.contains(said), "{error}\n{said}");
+        assert_eq!(error.lines().count(), 1);
+    }
+    assert!(Vehicle::parse("x.toml", "").unwrap_err().to_string().contains("is empty"));
+    let error = Vehicle::load("five-inhc").unwrap_err().to_string();
+    assert!(error.contains("did you mean `five-inch`?"), "{error}");
+}
+
+#[test]
+fn the_receivers_channels_are_those_of_the_file() {
+    let radio = |lines: &str| Vehicle::parse("x.toml", &format!("{}\n[radio]\n{lines}", BUILT_IN[0].1));
+    assert_eq!(os4().channels, ChannelMap::AETR);
+    let taer = radio("order = \"TAER\"\narm_channel = 7\narm_by = \"switch\"").unwrap();
+    assert_eq!(taer.channels, ChannelMap { sticks: [0, 1, 2, 3], arm: 6, mode: 5 });
+    assert_eq!(taer.arm_by, ArmBy::Switch);
+    for (lines, said) in [
+        ("order = \"AETT\"", "radio.order = AETT: must be A, E, T and R"),
+        ("arm_channel = 3", "radio.arm_channel = 3: must be from 5 to 16"),
+        ("mode_channel = 5", "radio.mode_channel = 5: must not be the arm switch's"),
+    ] {
+        assert!(radio(lines).unwrap_err().to_string().contains(said), "{lines}");
+    }
+}
