@@ -8,6 +8,8 @@
 //! The file has its figures in the units that people have, and only those that can't be derived. What can be derived is
 //! derived here, for this vehicle, and says how ([`Vehicle::derived`]): nothing is taken from another vehicle.
 #![forbid(unsafe_code)]
+// Tests may round as their machine does.
+#![cfg_attr(test, allow(clippy::disallowed_methods))]
 #![warn(missing_docs)]
 
 mod file;
