@@ -17,7 +17,7 @@ pub enum Fixed {
     /// Rates first, then place and attitude with the new ones; the attitude by the exact rotation.
     SemiImplicitEuler,
     /// The classical Runge-Kutta method on the components of the quaternion, which is normalised after each
-    /// step: what [`crate::vehicle`] does.
+    /// step: what [`crate::dynamics`] does.
     Rk4,
     /// The same tableau on the rotation vector of the step (Munthe-Kaas 1998): the attitude never leaves the
     /// unit quaternions.
