@@ -95,10 +95,8 @@ fn run(arguments: &Arguments) -> Result<(String, bool), InputError> {
         return Err(InputError::new(allowed).file(&scene.name).field("pilot"));
     }
     wiring.check(&scene)?;
-    if let Some(log) = &arguments.log {
-        let image = arguments.image.as_deref().unwrap_or(Path::new(""));
-        spare(&[Path::new(&arguments.scene), image], "--log", log)?;
-    }
+    let image = arguments.image.as_deref().unwrap_or(Path::new(""));
+    spare(&[Path::new(&arguments.scene), image], &[("--log", arguments.log.as_deref())])?;
     let log = arguments.log.as_ref().map(|path| FlightLog::create(path, &scene)).transpose()?;
     let firmware = arguments.image.as_deref().map_or_else(Firmware::build, Firmware::read)?;
     let settings = Settings {

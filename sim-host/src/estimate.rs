@@ -73,9 +73,7 @@ pub struct Score {
 /// or with the place for the output.
 pub fn run(request: &Request) -> Result<Report, InputError> {
     let presets = presets(&request.estimators)?;
-    if let Some(out) = &request.out {
-        spare(&[&request.log], "--out", out)?;
-    }
+    spare(&[&request.log], &[("--out", request.out.as_deref())])?;
     let log = Log::read(&request.log, request.axes)?;
     let samples = samples(&log, request)?;
     let still = GyroAtRest::learn(&samples);

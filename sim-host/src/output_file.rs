@@ -103,17 +103,22 @@ pub fn remove_unfinished() {
     unfinished(|files| files.drain(..).for_each(|path| drop(fs::remove_file(path))));
 }
 
-/// Refuses to put an output in the place of an input: a recording or a scene can't be made again. `option` is the one
-/// that names the output.
+/// Refuses to put an output in the place of an input: a recording or a scene can't be made again. Each output is named
+/// by its option.
 ///
 /// # Errors
-/// `out` is one of `inputs`.
-pub fn spare(inputs: &[&Path], option: &str, out: &Path) -> Result<(), InputError> {
-    let Ok(target) = fs::canonicalize(out) else { return Ok(()) };
-    match inputs.iter().any(|input| fs::canonicalize(input).is_ok_and(|input| input == target)) {
-        true => Err(InputError::new("must not be a file that is read").field(option).value(out.display())),
-        false => Ok(()),
+/// An output is one of `inputs`.
+pub fn spare(inputs: &[&Path], outputs: &[(&str, Option<&Path>)]) -> Result<(), InputError> {
+    for (option, out) in outputs {
+        let Some(out) = out else { continue };
+        let Ok(target) = fs::canonicalize(out) else { continue };
+        if inputs.iter().any(|input| fs::canonicalize(input).is_ok_and(|input| input == target)) {
+            return Err(InputError::new("must not be a file that is read")
+                .field(*option)
+                .value(out.display()));
+        }
     }
+    Ok(())
 }
 
 /// Prints a line to standard output. A reader that has gone away (`| head`) is no error.

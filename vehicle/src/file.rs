@@ -10,7 +10,7 @@ use input::check::{unknown, within};
 use serde::Deserialize;
 
 use crate::tune::{self, MARGIN_DEG};
-use crate::{Derived, EscProtocol, Vehicle, VehicleParams};
+use crate::{Derived, EscProtocol, Plant, Vehicle, VehicleParams};
 
 /// Volts of a cell below which a flight may not start, and must end.
 const ARM_V: f64 = 3.5;
@@ -270,7 +270,7 @@ impl File {
         );
 
         let prefilter_hz = given("filters.prefilter_hz", self.filters.prefilter_hz, 1.0, 400.0, "Hz")?;
-        let estimator = estimator(&self.filters.estimator)?;
+        let estimator = estimator("filters.estimator", &self.filters.estimator)?;
         let control = self.control(&params, hover, prefilter_hz, &mut notes)?;
         let volts = |key: &str, value: Option<f64>, usual: f64| {
             Ok::<_, InputError>(
@@ -397,7 +397,7 @@ impl File {
             ..ControlParams::OS4
         };
         let Some(gains) = self.gains else {
-            let plant = tune::plant(params, prefilter_hz, self.esc.protocol);
+            let plant = Plant::new(params, prefilter_hz, self.esc.protocol);
             let tuned = tune::tune(params, &plant, MARGIN_DEG);
             tuned.put_into(&mut control);
             let how = format!("a phase margin of {MARGIN_DEG:.0}° (docs/tuning.md)");
@@ -422,12 +422,15 @@ impl File {
     }
 }
 
-/// An estimator by its name.
-pub fn estimator(name: &str) -> Result<EstimatorParams, InputError> {
+/// An estimator by its name, which stands in `field`.
+///
+/// # Errors
+/// There is none of this name, with the nearest.
+pub fn estimator(field: &str, name: &str) -> Result<EstimatorParams, InputError> {
     let found = EstimatorParams::PRESETS.into_iter().find(|(preset, _)| *preset == name);
     found
         .map(|(_, estimator)| estimator)
-        .ok_or_else(|| unknown("filters.estimator", name, EstimatorParams::PRESETS.map(|preset| preset.0)))
+        .ok_or_else(|| unknown(field, name, EstimatorParams::PRESETS.map(|preset| preset.0)))
 }
 
 impl Inertia {

@@ -28,6 +28,7 @@ use input::InputError;
 use input::layers::{Layers, ReadText, text_of};
 use toml::de::DeTable;
 
+pub use file::estimator;
 pub use plant::{Axis, Loop, Margin, Plant};
 pub use tune::{MARGIN_DEG, Tuned, authority_rad_s2, tune};
 

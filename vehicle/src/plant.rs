@@ -12,7 +12,7 @@ use std::f64::consts::{SQRT_2, TAU};
 use flight_core::control::ControlParams;
 use num_complex::Complex64;
 
-use crate::{EscProtocol, Vehicle};
+use crate::{EscProtocol, Vehicle, VehicleParams};
 
 /// Samples a second.
 const RATE_HZ: f64 = 1_000.0;
@@ -64,11 +64,12 @@ pub struct Margin {
 impl Plant {
     /// That of a vehicle.
     pub fn of(vehicle: &Vehicle) -> Self {
-        Self {
-            lag_s: vehicle.params.lag_s,
-            prefilter_hz: vehicle.prefilter_hz,
-            delay_s: delay_s(vehicle.esc),
-        }
+        Self::new(&vehicle.params, vehicle.prefilter_hz, vehicle.esc)
+    }
+
+    /// That of rotors behind this prefilter and this protocol.
+    pub fn new(params: &VehicleParams, prefilter_hz: Option<f64>, esc: EscProtocol) -> Self {
+        Self { lag_s: params.lag_s, prefilter_hz, delay_s: delay_s(esc) }
     }
 
     /// How long the prefilter delays low frequencies, s: √2/(2π f), the slope of its phase at zero.
@@ -110,7 +111,7 @@ impl Plant {
 
 /// From a sample to its command at the motor, s: half a period that a command stands, and what the protocol takes
 /// (docs/timing.md).
-pub(crate) fn delay_s(esc: EscProtocol) -> f64 {
+fn delay_s(esc: EscProtocol) -> f64 {
     let protocol = match esc {
         // Half of the 2.5 ms to the next pulse, and a pulse of 1.5 ms.
         EscProtocol::Pwm => 2.75e-3,

@@ -4,7 +4,7 @@ use flight_core::control::ControlParams;
 use flight_core::geometry::vec3;
 
 use crate::plant::{Loop, Margin, Plant};
-use crate::{EscProtocol, GRAVITY, VehicleParams};
+use crate::{GRAVITY, VehicleParams};
 
 /// Gains of the cascade, and the largest integrals.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -117,8 +117,3 @@ impl Tuned {
 
 /// The margin that gains are proposed for, degrees: a step overshoots by some percent.
 pub const MARGIN_DEG: f64 = 60.0;
-
-/// The plant of a vehicle whose file is being read.
-pub(crate) fn plant(params: &VehicleParams, prefilter_hz: Option<f64>, esc: EscProtocol) -> Plant {
-    Plant { lag_s: params.lag_s, prefilter_hz, delay_s: crate::plant::delay_s(esc) }
-}

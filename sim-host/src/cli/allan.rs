@@ -133,11 +133,12 @@ pub fn run(arguments: &AllanArguments) -> Result<Answer, InputError> {
     {
         return Err(InputError::new("must be above 1e-9 and below 1e9 Hz").field("--rate-hz").value(rate_hz));
     }
-    for (option, out) in
-        [("--plot", &arguments.plot), ("--imu", &arguments.imu), ("--kalibr", &arguments.kalibr)]
-    {
-        out.as_ref().map_or(Ok(()), |out| spare(&[&arguments.log], option, out))?;
-    }
+    let outputs = [
+        ("--plot", arguments.plot.as_deref()),
+        ("--imu", arguments.imu.as_deref()),
+        ("--kalibr", arguments.kalibr.as_deref()),
+    ];
+    spare(&[&arguments.log], &outputs)?;
     let recording = Recording::open(&arguments.log, arguments.layout())?;
     let wanted = wanted(&recording, arguments)?;
     let time = match arguments.rate_hz {

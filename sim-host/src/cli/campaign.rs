@@ -22,9 +22,7 @@ pub fn fly(scene: &Scene, arguments: &FlyArguments) -> Result<Answer, InputError
         let allowed = format!("must be no more parts than the {} runs", campaign.runs);
         return Err(InputError::new(allowed).field("--shard").value(format!("…/{}", shard.parts())));
     }
-    if let Some(out) = &arguments.out {
-        spare(&[Path::new(&arguments.scene)], "--out", out)?;
-    }
+    spare(&[Path::new(&arguments.scene)], &[("--out", arguments.out.as_deref())])?;
     let runs = shard.runs(campaign.runs);
     let wanted = runs.end - runs.start;
     let jobs = match arguments.jobs {
@@ -57,10 +55,8 @@ pub fn fly(scene: &Scene, arguments: &FlyArguments) -> Result<Answer, InputError
 
 /// The parts of a campaign as if it had been flown in one go.
 pub fn merge(arguments: &MergeArguments) -> Result<Answer, InputError> {
-    if let Some(out) = &arguments.out {
-        let parts: Vec<&Path> = arguments.parts.iter().map(PathBuf::as_path).collect();
-        spare(&parts, "--out", out)?;
-    }
+    let parts: Vec<&Path> = arguments.parts.iter().map(PathBuf::as_path).collect();
+    spare(&parts, &[("--out", arguments.out.as_deref())])?;
     let (campaign, runs) = campaign::merge(&arguments.parts)?;
     if let Some(path) = &arguments.out {
         campaign::write(OutputFile::create(path)?, &campaign, &runs)?;

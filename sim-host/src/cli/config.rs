@@ -18,7 +18,7 @@ const CHIP: &str = "STM32F405RGTx";
 
 pub fn run(arguments: &ConfigArguments) -> Result<Answer, InputError> {
     let scene = load(&arguments.scene, arguments.vehicle.as_deref(), None, None)?;
-    spare(&[Path::new(&arguments.scene)], "--out", &arguments.out)?;
+    spare(&[Path::new(&arguments.scene)], &[("--out", Some(&arguments.out))])?;
     let mut buffer = [0; MAX_RECORD];
     let record = encode(&scene.config, &mut buffer)
         .map_err(|error| InputError::new(error.to_string()).field("SCENE").value(&arguments.scene))?;

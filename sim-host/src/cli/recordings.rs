@@ -13,9 +13,7 @@ use super::{Answer, EstimateArguments, SenseArguments, load};
 
 pub fn sense(arguments: &SenseArguments) -> Result<Answer, InputError> {
     let scene = load(&arguments.scene, arguments.vehicle.as_deref(), arguments.seed, arguments.duration)?;
-    if let Some(out) = &arguments.out {
-        spare(&[Path::new(&arguments.scene)], "--out", out)?;
-    }
+    spare(&[Path::new(&arguments.scene)], &[("--out", arguments.out.as_deref())])?;
     let mut writer = arguments.out.as_ref().map(LogWriter::create).transpose()?;
     let start = Instant::now();
     let samples = sense::run(&scene, scene.seed, arguments.rate_hz, writer.as_mut())?;

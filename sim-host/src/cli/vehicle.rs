@@ -1,7 +1,7 @@
 //! The command `vehicle`: what a vehicle file means.
 
 use std::fmt::Write as _;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use flight_core::control::ControlParams;
 use input::InputError;
@@ -26,15 +26,12 @@ pub struct VehicleArguments {
     report: Option<PathBuf>,
 }
 
-/// A step of 30° that is flown worse than this is not flown well: largest error of the attitude's estimate apart, the
-/// tilt beyond what was asked for, share of the step.
+/// Gains whose flight tilts further than asked for by more than this share fail.
 const LARGEST_OVERSHOOT: f64 = 0.25;
 
 pub fn run(arguments: &VehicleArguments) -> Result<Answer, InputError> {
     let vehicle = Vehicle::load(&arguments.vehicle)?;
-    if let Some(out) = &arguments.report {
-        spare(&[std::path::Path::new(&arguments.vehicle)], "--report", out)?;
-    }
+    spare(&[Path::new(&arguments.vehicle)], &[("--report", arguments.report.as_deref())])?;
     let plant = Plant::of(&vehicle);
     let mut text = format!("{}: {}\n", vehicle.name, vehicle.description);
     let mut json = json!({ "vehicle": vehicle.name, "description": vehicle.description });

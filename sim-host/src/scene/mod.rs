@@ -492,11 +492,7 @@ impl file::Flight {
     fn build(&self, design: &Vehicle, preset: &ImuPreset, field_ut: Vec3<f64>) -> Result<Config, InputError> {
         let estimator = match &self.estimator {
             None => design.estimator,
-            Some(name) => {
-                let found = EstimatorParams::PRESETS.into_iter().find(|(preset, _)| preset == name);
-                let names = EstimatorParams::PRESETS.map(|preset| preset.0);
-                found.ok_or_else(|| check::unknown("flight.estimator", name, names))?.1
-            }
+            Some(name) => vehicle::estimator("flight.estimator", name)?,
         };
         let prefilter_hz = match self.prefilter_hz {
             None => design.prefilter_hz,
