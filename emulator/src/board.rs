@@ -2,27 +2,33 @@
 
 use std::num::{NonZeroU32, NonZeroU64};
 use std::path::Path;
+use std::sync::Arc;
 
+use ::board::Lit;
 use input::InputError;
+use input::axes::Axes;
 use rigless::cpu::armv7m as cpu;
 use rigless::device::{ErasedDevice, Level, ResetCause};
 use rigless::image::Image;
 use rigless::machine::{Board, Target, armv7m};
 use rigless::mcu::Mcu;
 use rigless::snapshot::{self, Store};
+use rigless::soc::stm32f427::peripherals::SERIAL_PORTS;
 use rigless::soc::stm32f427::peripherals::adc::Channel as Analog;
 use rigless::soc::stm32f427::peripherals::gpio::Pin;
 use rigless::soc::stm32f427::peripherals::spi::Select;
 use rigless::soc::{Bus, Error};
 use rigless::time::VirtualNanos;
 use sim_host::scene::Scene;
+use vehicle::Vehicle;
 
 use crate::chip::exti::PVD_LINE;
-use crate::chip::stm32f405::{PORTS, Stm32f405};
+use crate::chip::stm32f405::{PORTS, Stm32f405, TimerPlace};
 use crate::compass::Compass;
 use crate::imu::Imu;
 use crate::pads::{Line, PADS};
 use crate::radio::{Protocol, Radio};
+use crate::timing::{HANDLERS, Handler, handlers};
 
 /// Instructions a second of virtual time: two cycles of 168 MHz for each, as `docs/timing.md` assumes. A setting, not
 /// a measurement: no wait states of the flash, no caches, no contention on the bus.
@@ -30,6 +36,9 @@ pub const INSTRUCTIONS_PER_SECOND: u64 = 84_000_000;
 
 /// The core's clock once the firmware has set it up, which times SysTick, Hz.
 const CORE_HZ: u64 = 168_000_000;
+
+/// Place of the inertial sensor's SPI among SPI1 to SPI3: the firmware takes SPI1.
+const IMU_SPI: usize = 0;
 
 /// Supply of the microcontroller, mV.
 pub const SUPPLY_MV: u32 = 3_300;
@@ -43,18 +52,10 @@ pub struct Wire {
     pub pin: u8,
 }
 
-const fn pin(port: u8, pin: u8) -> Wire {
-    Wire { port: (port - b'A') as usize, pin }
-}
-
-const fn connection(
-    wire: Wire,
-    instance: &'static str,
-    signal: &'static str,
-    function: u64,
-    drive: Drive,
-) -> Connection {
-    Connection { wire, instance, signal, function, drive }
+impl From<::board::Pin> for Wire {
+    fn from(pin: ::board::Pin) -> Self {
+        Self { port: pin.port.into(), pin: pin.number }
+    }
 }
 
 /// A motor pad.
@@ -64,10 +65,14 @@ pub struct Pad {
     pub name: &'static str,
     /// Its pin.
     pub wire: Wire,
-    /// Timer, 0 for TIM2, and its channel; what the pin carries with alternate function 2.
-    pub timer: usize,
+    /// Alternate function by which the pin carries its timer's output.
+    pub function: u8,
+    /// Its timer.
+    pub timer: TimerPlace,
     /// 1 to 4.
     pub channel: u8,
+    /// It is the channel's complementary output.
+    pub complementary: bool,
     /// The rotor whose ESC is plugged there, 0 for the front left, clockwise.
     pub rotor: usize,
 }
@@ -84,12 +89,12 @@ pub enum Drive {
 }
 
 /// A pin of a peripheral.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub struct Connection {
     /// The pin.
     pub wire: Wire,
     /// The peripheral, as RM0090 calls it.
-    pub instance: &'static str,
+    pub instance: String,
     /// Its signal.
     pub signal: &'static str,
     /// Alternate function by which the pin carries it (DS8626, table 9).
@@ -98,52 +103,110 @@ pub struct Connection {
     pub drive: Drive,
 }
 
-/// Rows of a signed permutation: what the chip's x, y, z are of the body's forward, right, down.
-pub type Axes = [(usize, i32); 3];
-
-/// What is wired to what.
+/// What is wired to what: a board in a vehicle.
 #[derive(Debug)]
 pub struct Wiring {
-    /// For the command line.
-    pub name: &'static str,
-    /// For people.
-    pub title: &'static str,
-    /// High-speed crystal, Hz.
-    pub crystal_hz: u64,
-    /// SPI of the inertial sensor, 0 for SPI1, and its chip select, low.
-    pub imu_spi: usize,
-    /// Its chip select.
-    pub imu_select: Wire,
+    /// The board.
+    pub board: ::board::Board,
+    /// How the inertial sensor lies in the vehicle.
+    pub imu_axes: Axes,
     /// Largest bit rate that it takes.
     pub imu_max_hz: u64,
-    /// Its INT1.
-    pub imu_ready: Wire,
-    /// How it lies on the board.
-    pub imu_axes: Axes,
-    /// I2C of the magnetometer, 0 for I2C1.
-    pub compass_i2c: usize,
-    /// Its clock line.
-    pub compass_clock: Wire,
-    /// Its data line.
-    pub compass_data: Wire,
+    /// How the magnetometer lies in the vehicle.
+    pub compass_axes: Axes,
     /// Bits a second on its bus.
     pub compass_hz: u64,
-    /// How it lies in the vehicle.
-    pub compass_axes: Axes,
+    /// Its I2C, 0 for I2C1.
+    pub compass_i2c: usize,
     /// Serial port of the receiver, by its place in `rigless`'s list.
     pub radio_usart: usize,
-    /// Its registers' first address, and whether it runs on APB1.
-    pub radio_base: u64,
-    /// ADC1's channel of the battery.
-    pub battery_channel: u8,
-    /// Volts of the battery for one at the pin.
-    pub battery_ratio: f64,
-    /// The light, lit when low.
-    pub light: Wire,
     /// The motor pads.
     pub pads: [Pad; PADS],
-    /// The other pins.
-    pub connections: &'static [Connection],
+    /// The other pins of peripherals.
+    pub connections: Vec<Connection>,
+    /// The handlers that run in flight.
+    pub handlers: [Handler; HANDLERS],
+    /// Registers by which a motor pad's level may be changed: first addresses, and their lengths.
+    motor_timers: Vec<(u64, u64)>,
+    motor_ports: Vec<(u64, u64)>,
+}
+
+impl Wiring {
+    /// A board as it is built into a vehicle.
+    ///
+    /// # Panics
+    /// The board has a timer or a serial port that the chip does not have: its file was not checked.
+    pub fn new(board: ::board::Board, vehicle: &Vehicle) -> Self {
+        let connection = |found: &::board::Connection, drive| Connection {
+            wire: found.pin.into(),
+            instance: found.peripheral.clone(),
+            signal: found.signal,
+            function: found.function.into(),
+            drive,
+        };
+        let [sck, miso, mosi] = &board.imu.bus;
+        let connections = vec![
+            connection(sck, Drive::PushPull),
+            connection(miso, Drive::PushPull),
+            connection(mosi, Drive::PushPull),
+            connection(&board.receiver, Drive::PulledUp),
+            connection(&board.compass.scl, Drive::OpenDrain),
+            connection(&board.compass.sda, Drive::OpenDrain),
+        ];
+        let pads = board.motors.each_ref().map(|motor| Pad {
+            name: motor.pad,
+            wire: motor.connection.pin.into(),
+            function: motor.connection.function,
+            timer: TimerPlace::of(&motor.connection.peripheral).expect("a timer of the chip"),
+            channel: motor.channel,
+            complementary: motor.complementary,
+            rotor: motor.rotor,
+        });
+        let serial = board.receiver.peripheral.as_str();
+        let compass_i2c = board.compass.scl.peripheral.trim_start_matches("I2C").parse::<usize>();
+        let motor_timers =
+            board.timers.iter().map(|timer| (address_of(&timer.name).expect("it has an address"), 0x400));
+        let motor_ports = pads.iter().map(|pad| (0x4002_0000 + 0x400 * pad.wire.port as u64, 0x400));
+        Self {
+            imu_axes: board.imu.axes.within(&vehicle.board_axes),
+            imu_max_hz: 24_000_000,
+            compass_axes: vehicle.compass_axes,
+            compass_hz: 400_000,
+            compass_i2c: compass_i2c.expect("I2C1 to I2C3") - 1,
+            radio_usart: SERIAL_PORTS.iter().position(|port| port.instance == serial).expect("a serial port"),
+            motor_timers: motor_timers.collect(),
+            motor_ports: motor_ports.collect(),
+            handlers: handlers(board.ready_vector(), serial),
+            pads,
+            connections,
+            board,
+        }
+    }
+
+    /// Whether a register at this address may change what a motor pad carries: the timers, the ports, clocks and resets.
+    pub fn touches_pads(&self, address: u64) -> bool {
+        let within = |(from, bytes): &(u64, u64)| (*from..from + bytes).contains(&address);
+        self.is_motor_timer(address)
+            || self.motor_ports.iter().any(within)
+            || (0x4002_3800..0x4002_3c00).contains(&address)
+    }
+
+    /// Whether a register at this address is one of the motors' timers.
+    pub fn is_motor_timer(&self, address: u64) -> bool {
+        self.motor_timers.iter().any(|(from, bytes)| (*from..from + bytes).contains(&address))
+    }
+}
+
+/// Where a timer's registers begin (RM0090, table 1).
+fn address_of(timer: &str) -> Option<u64> {
+    Some(match timer {
+        "TIM1" => 0x4001_0000,
+        "TIM2" => 0x4000_0000,
+        "TIM3" => 0x4000_0400,
+        "TIM4" => 0x4000_0800,
+        "TIM8" => 0x4001_0400,
+        _ => return None,
+    })
 }
 
 /// A count of the chips on the boards: the ICM-42688-P at ±2,000 °/s and ±16 g (DS-000347, tables 1 and 2), rad/s and
@@ -167,7 +230,7 @@ impl Wiring {
                 let allowed = format!(
                     "the scene's {sensor} is not that of the {}, which has an ICM-42688-P and a QMC5883L: \
                      take imu = \"icm-42688-p\"",
-                    self.title
+                    self.board.title
                 );
                 return Err(InputError::new(allowed).file(&scene.name).field("imu"));
             }
@@ -176,65 +239,12 @@ impl Wiring {
     }
 }
 
-/// SpeedyBee F405 V4: pins as in Betaflight's `configs/SPEEDYBEEF405V4/config.h` and ArduPilot's
-/// `hwdef/speedybeef4v4/hwdef.dat`. The sensor's x points right, its y forward, its z up; M1 is at the rear right, M2
-/// at the front right, M3 at the rear left, M4 at the front left, as a 4-in-1 ESC for it is wired. The magnetometer
-/// lies along the vehicle's axes.
-pub static SPEEDYBEE_F405_V4: Wiring = Wiring {
-    name: "speedybee-f405-v4",
-    title: "SpeedyBee F405 V4",
-    crystal_hz: 8_000_000,
-    imu_spi: 0,
-    imu_select: pin(b'A', 4),
-    imu_max_hz: 24_000_000,
-    imu_ready: pin(b'C', 4),
-    imu_axes: [(1, 1), (0, 1), (2, -1)],
-    compass_i2c: 0,
-    compass_clock: pin(b'B', 8),
-    compass_data: pin(b'B', 9),
-    compass_hz: 400_000,
-    compass_axes: [(0, 1), (1, 1), (2, 1)],
-    radio_usart: 1,
-    radio_base: 0x4000_4400,
-    battery_channel: 10,
-    battery_ratio: 11.0,
-    light: pin(b'C', 13),
-    pads: [
-        Pad { name: "M1", wire: pin(b'B', 6), timer: 2, channel: 1, rotor: 2 },
-        Pad { name: "M2", wire: pin(b'B', 7), timer: 2, channel: 2, rotor: 1 },
-        Pad { name: "M3", wire: pin(b'B', 0), timer: 1, channel: 3, rotor: 3 },
-        Pad { name: "M4", wire: pin(b'B', 1), timer: 1, channel: 4, rotor: 0 },
-    ],
-    connections: &[
-        connection(pin(b'A', 5), "SPI1", "SCK", 5, Drive::PushPull),
-        connection(pin(b'A', 6), "SPI1", "MISO", 5, Drive::PushPull),
-        connection(pin(b'A', 7), "SPI1", "MOSI", 5, Drive::PushPull),
-        connection(pin(b'A', 3), "USART2", "RX", 7, Drive::PulledUp),
-        connection(pin(b'B', 8), "I2C1", "SCL", 4, Drive::OpenDrain),
-        connection(pin(b'B', 9), "I2C1", "SDA", 4, Drive::OpenDrain),
-    ],
-};
-
-/// All boards.
-pub static BOARDS: [&Wiring; 1] = [&SPEEDYBEE_F405_V4];
-
 /// A vector of counts along the body's axes, along the chip's.
 pub fn to_chip(axes: &Axes, body: [i16; 3]) -> [i16; 3] {
-    axes.map(|(from, sign)| {
-        let counts = i32::from(body[from]) * sign;
+    axes.back(body.map(i32::from)).map(|counts| {
         // The chip's lowest value is −32,766; only the largest number has no negative.
         counts.clamp(i32::from(i16::MIN), i32::from(i16::MAX)) as i16
     })
-}
-
-/// Whether a register at this address may change what a motor pad carries: TIM3, TIM4, port B, clocks and resets.
-pub fn touches_pads(address: u64) -> bool {
-    is_motor_timer(address) || matches!(address, 0x4002_0400..0x4002_0800 | 0x4002_3800..0x4002_3c00)
-}
-
-/// Whether a register at this address is one of TIM3 or TIM4.
-pub fn is_motor_timer(address: u64) -> bool {
-    matches!(address, 0x4000_0400..0x4000_0c00)
 }
 
 /// Whether a register at this address is one of DMA1 or DMA2.
@@ -242,15 +252,12 @@ pub fn is_dma(address: u64) -> bool {
     matches!(address, 0x4002_6000..0x4002_6800)
 }
 
-/// Alternate function of TIM3, TIM4 and TIM5 at their pins.
-const TIMER_FUNCTION: u8 = 2;
-
 /// The microcontroller with its pins wired.
 #[derive(Debug)]
 pub struct Machine {
     /// The microcontroller.
     pub part: Stm32f405,
-    wiring: &'static Wiring,
+    wiring: Arc<Wiring>,
     ready: Option<bool>,
     supply_low: bool,
     data_held: bool,
@@ -268,17 +275,14 @@ pub struct Machine {
 }
 
 impl Machine {
-    fn new(wiring: &'static Wiring, protocol: Protocol) -> Result<Self, Error> {
+    fn new(wiring: Arc<Wiring>, protocol: Protocol) -> Result<Self, Error> {
         let mut part = Stm32f405::new()?;
-        part.rcc.attach_crystals(wiring.crystal_hz, 0);
+        part.rcc.attach_crystals(u64::from(wiring.board.crystal_mhz) * 1_000_000, 0);
         part.set_supply(SUPPLY_MV);
-        part.spi[wiring.imu_spi].attach_selected(
+        let select = Wire::from(wiring.board.imu.select);
+        part.spi[IMU_SPI].attach_selected(
             Imu::new(),
-            Select {
-                port: PORTS[wiring.imu_select.port],
-                pin: pin_of(wiring.imu_select),
-                active: Level::Low,
-            },
+            Select { port: PORTS[select.port], pin: pin_of(select), active: Level::Low },
         );
         part.i2c[wiring.compass_i2c].interface.attach(Compass::new());
         part.usart[wiring.radio_usart].attach(Radio::new(protocol));
@@ -306,7 +310,7 @@ impl Machine {
 
     /// The inertial sensor.
     pub fn imu(&mut self) -> &mut Imu {
-        self.part.spi[self.wiring.imu_spi].chip_mut(0).expect("it was attached")
+        self.part.spi[IMU_SPI].chip_mut(0).expect("it was attached")
     }
 
     /// The magnetometer.
@@ -328,8 +332,8 @@ impl Machine {
 
     /// The battery, V.
     pub fn set_battery(&mut self, volts: f64) {
-        let channel = Analog::new(self.wiring.battery_channel).expect("a channel of ADC1");
-        let millivolts = (volts * 1_000.0 / self.wiring.battery_ratio).round().clamp(0.0, 3_300.0);
+        let channel = Analog::new(self.wiring.board.battery.channel).expect("a channel of ADC1");
+        let millivolts = (volts * 1_000.0 / self.wiring.board.battery.ratio).round().clamp(0.0, 3_300.0);
         self.part.adc[0].set_input(channel, millivolts as u32);
     }
 
@@ -353,7 +357,7 @@ impl Machine {
     /// Follows the magnetometer's clock line where the firmware moves it by the pin itself.
     fn follow_compass_clock(&mut self) {
         use rigless::soc::stm32f427::generated::gpioa::Register;
-        let wire = self.wiring.compass_clock;
+        let wire = Wire::from(self.wiring.board.compass.scl.pin);
         let (_, registers) = self.part.port(wire.port);
         let driven = registers.get(Register::Moder) >> (2 * wire.pin) & 3 == 1;
         let high = !driven || registers.get(Register::Odr) >> wire.pin & 1 == 1;
@@ -367,13 +371,15 @@ impl Machine {
         }
     }
 
-    /// Whether the light is lit; nobody drives it before the firmware does.
+    /// Whether the light is lit; nobody drives it before the firmware does, and a board may have none.
     pub fn lit(&self) -> bool {
         use rigless::soc::stm32f427::generated::gpioa::Register;
-        let wire = self.wiring.light;
+        let Some(light) = self.wiring.board.light else { return false };
+        let wire = Wire::from(light.pin);
         let (_, registers) = self.part.port(wire.port);
         let output = registers.get(Register::Moder) >> (2 * wire.pin) & 3 == 1;
-        output && registers.get(Register::Odr) >> wire.pin & 1 == 0
+        let high = registers.get(Register::Odr) >> wire.pin & 1 == 1;
+        output && high == (light.lit == Lit::High)
     }
 
     /// The supply of the microcontroller, mV.
@@ -386,11 +392,11 @@ impl Machine {
     pub fn check_radio_line(&mut self) {
         use rigless::soc::stm32f427::generated::usart6::{Register, cr1, cr2};
         let line = self.radio().protocol.line();
-        let instance = rigless::soc::stm32f427::peripherals::SERIAL_PORTS[self.wiring.radio_usart].instance;
+        let instance = SERIAL_PORTS[self.wiring.radio_usart].instance;
         let Some(registers) = self.part.bus().registers(instance) else { return };
         let divider = registers.get(Register::Brr);
         let (control, stop) = (registers.get(Register::Cr1), registers.get(Register::Cr2));
-        let clock_hz = CORE_HZ / 4;
+        let clock_hz = if instance == "USART1" || instance == "USART6" { CORE_HZ / 2 } else { CORE_HZ / 4 };
         let baud = clock_hz.checked_div(divider).unwrap_or(0);
         let wanted = u64::from(line.baud);
         let right = baud.abs_diff(wanted) * 100 <= 3 * wanted
@@ -407,11 +413,10 @@ impl Machine {
         self.follow_compass_clock();
         for (n, pad) in self.wiring.pads.iter().enumerate() {
             let pin = pin_of(pad.wire);
-            let (timer, registers) = self.part.timer(pad.timer);
-            let output = timer.output(pad.channel, registers);
+            let output = self.part.timer_output(pad.timer, pad.channel, pad.complementary);
             let (_, port) = self.part.port(pad.wire.port);
             let carried = rigless::soc::stm32f427::peripherals::gpio::Gpio::function(pin, port);
-            let function = output.filter(|_| carried == Some(TIMER_FUNCTION));
+            let function = output.filter(|_| carried == Some(pad.function));
             if function != self.functions[n] {
                 self.functions[n] = function;
                 self.stale = true;
@@ -487,7 +492,7 @@ impl Mcu for Machine {
         let high = self.imu().int1();
         if self.ready != Some(high) {
             self.ready = Some(high);
-            let wire = self.wiring.imu_ready;
+            let wire = Wire::from(self.wiring.board.imu.ready);
             self.part.drive_port(now, wire.port, |gpio, registers, context| {
                 gpio.drive(pin_of(wire), Some(Level::from(high)), registers, context);
             });
@@ -495,7 +500,7 @@ impl Mcu for Machine {
         let held = self.part.i2c[self.wiring.compass_i2c].held_low;
         if self.data_held != held {
             self.data_held = held;
-            let wire = self.wiring.compass_data;
+            let wire = Wire::from(self.wiring.board.compass.sda.pin);
             self.part.drive_port(now, wire.port, |gpio, registers, context| {
                 gpio.drive(pin_of(wire), held.then_some(Level::Low), registers, context);
             });
@@ -506,7 +511,7 @@ impl Mcu for Machine {
             self.part.drive_exti(now, PVD_LINE, low);
         }
         let touched = self.wiring.pads.iter().map(|pad| pad.timer);
-        if touched.fold(false, |any, timer| any | self.part.tim[timer].take_touched()) {
+        if touched.fold(false, |any, timer| any | self.part.take_touched(timer)) {
             self.follow_pads(now);
         }
     }
@@ -525,7 +530,8 @@ pub struct FlightBoard {
     /// It.
     pub machine: Machine,
     /// What is wired to what.
-    pub wiring: &'static Wiring,
+    pub wiring: Arc<Wiring>,
+    name: &'static str,
     factory: Image,
 }
 
@@ -534,12 +540,14 @@ impl FlightBoard {
     ///
     /// # Errors
     /// The description does not hold together.
-    pub fn new(wiring: &'static Wiring, protocol: Protocol) -> Result<Self, Error> {
+    pub fn new(wiring: Arc<Wiring>, protocol: Protocol) -> Result<Self, Error> {
         // VREFINT_CAL, which ST's factory writes: the reference's count at 3.3 V (1.21 V of 3.3 V in 4,095).
         let calibration = 1_500_u16.to_le_bytes().to_vec();
         let factory = Image::new(Path::new("vrefint_cal"), calibration, Some(0x1fff_7a2a))
             .expect("two bytes at a place of their own");
-        Ok(Self { machine: Machine::new(wiring, protocol)?, wiring, factory })
+        // Boards have names that stand, for the library.
+        let name = String::leak(wiring.board.name.clone());
+        Ok(Self { machine: Machine::new(wiring.clone(), protocol)?, wiring, name, factory })
     }
 }
 
@@ -555,7 +563,7 @@ impl Store for FlightBoard {
 
 impl Board for FlightBoard {
     fn name(&self) -> &'static str {
-        self.wiring.name
+        self.name
     }
 
     fn target_names(&self) -> Vec<&'static str> {

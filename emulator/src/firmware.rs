@@ -36,31 +36,13 @@ pub struct Firmware {
 }
 
 impl Firmware {
-    /// Builds the image that `cargo flash-fw` programs, from the sources that this program was built from.
+    /// Builds the image of the sources beside this crate, as `cargo flash-fw` does with these variables (docs/hardware.md):
+    /// `KESTREL_BOARD`, `KESTREL_VEHICLE`, `KESTREL_ESC`. A variable that is not among them is not set, whatever the
+    /// environment says.
     ///
     /// # Errors
-    /// No sources, no cargo, or an image that does not build.
-    pub fn build() -> Result<Self, InputError> {
-        Self::build_with_esc(None)
-    }
-
-    /// Builds it for another ESC protocol: what `KESTREL_ESC` is at build time (docs/hardware.md).
-    ///
-    /// # Errors
-    /// As [`Self::build`].
-    pub fn build_with_esc(esc: Option<&str>) -> Result<Self, InputError> {
-        Self::build_with(&[("KESTREL_ESC", esc)])
-    }
-
-    /// Builds it for a vehicle: what `KESTREL_VEHICLE` is at build time (docs/hardware.md).
-    ///
-    /// # Errors
-    /// As [`Self::build`].
-    pub fn build_with_vehicle(vehicle: &str) -> Result<Self, InputError> {
-        Self::build_with(&[("KESTREL_VEHICLE", Some(vehicle))])
-    }
-
-    fn build_with(variables: &[(&str, Option<&str>)]) -> Result<Self, InputError> {
+    /// The sources are not there, or do not build.
+    pub fn build(variables: &[(&str, &str)]) -> Result<Self, InputError> {
         let refused =
             |what: String| InputError::new(format!("{what}: name an image by --image ELF")).file("firmware");
         let workspace = Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap_or(Path::new("/"));
@@ -69,7 +51,10 @@ impl Firmware {
         }
         let targets =
             std::env::var_os("CARGO_TARGET_DIR").map_or_else(|| workspace.join("target"), PathBuf::from);
-        let kind = variables.iter().find_map(|(_, value)| *value).unwrap_or("board").replace('/', "-");
+        let kind = match variables {
+            [] => "board".into(),
+            _ => variables.iter().map(|(_, value)| value.replace('/', "-")).collect::<Vec<_>>().join(","),
+        };
         let target = std::path::absolute(targets.join("flash-image").join(kind))
             .map_err(|error| refused(format!("no target directory: {error}")))?;
         let mut cargo = Command::new(std::env::var_os("CARGO").as_deref().unwrap_or(OsStr::new("cargo")));
@@ -81,13 +66,10 @@ impl Firmware {
             // These would replace the link arguments of .cargo/config.toml.
             .env_remove("RUSTFLAGS")
             .env_remove("CARGO_ENCODED_RUSTFLAGS")
+            .env_remove("KESTREL_BOARD")
             .env_remove("KESTREL_ESC")
-            .env_remove("KESTREL_VEHICLE");
-        for (name, value) in variables {
-            if let Some(value) = value {
-                cargo.env(name, value);
-            }
-        }
+            .env_remove("KESTREL_VEHICLE")
+            .envs(variables.iter().copied());
         if !stderr().is_terminal() {
             cargo.arg("--quiet");
         }
@@ -175,13 +157,10 @@ impl Firmware {
                 "must be an image of Kestrel's firmware, with its symbols".into(),
             ));
         };
-        if kind != crate::board::SPEEDYBEE_F405_V4.name {
+        if kind.ends_with(", bench") || kind.contains(' ') {
             return Err(refused(
                 &self.path,
-                format!(
-                    "must be the flight image of {}; it is that of {kind}",
-                    crate::board::SPEEDYBEE_F405_V4.name
-                ),
+                format!("must be the flight image of a board; it is that of {kind}"),
             ));
         }
         for symbol in ["FLIGHT_RECORD", "_SEGGER_RTT"] {
@@ -208,6 +187,11 @@ impl Firmware {
             return Err(refused(&self.path, format!("starts at {reset:#010x}: must be Thumb code in flash")));
         }
         Ok(())
+    }
+
+    /// The name of the board that it is for.
+    pub fn board(&self) -> String {
+        self.text_at("KESTREL_IMAGE").unwrap_or_default()
     }
 
     /// The configuration of the vehicle that the image was built for.

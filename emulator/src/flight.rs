@@ -12,6 +12,7 @@
 
 use std::collections::BTreeMap;
 use std::path::Path;
+use std::sync::Arc;
 
 use flight_core::record::{self, StepRecord};
 use flight_core::sample::{Input, RcFrame};
@@ -53,7 +54,7 @@ pub struct Settings<'a> {
     /// The image.
     pub firmware: &'a Firmware,
     /// The board.
-    pub wiring: &'static Wiring,
+    pub wiring: Arc<Wiring>,
     /// What the receiver speaks.
     pub radio: Protocol,
     /// What is in the board's configuration sector.
@@ -100,6 +101,8 @@ pub struct Flown {
     pub log: Vec<String>,
     /// Times and instruction counts.
     pub timing: Timing,
+    /// What was flown: the board in the vehicle.
+    pub wiring: Arc<Wiring>,
     /// When the light changed (s), and whether it was lit from then on.
     pub light: Vec<(f64, bool)>,
     /// The emulator stopped by itself, and why.
@@ -116,7 +119,7 @@ pub fn fly(
     settings: Settings<'_>,
     observer: Option<FlightLog>,
 ) -> Result<(Flown, Option<FlightLog>), InputError> {
-    let board = FlightBoard::new(settings.wiring, settings.radio)
+    let board = FlightBoard::new(settings.wiring.clone(), settings.radio)
         .map_err(|error| InputError::new(format!("the board does not assemble: {error}")))?;
     let mut images = vec![settings.firmware.image()?];
     if let Some(config) = &settings.config {
@@ -124,9 +127,10 @@ pub fn fly(
     }
     let mut session = Session::new(Box::new(board), 0, VirtualNanos(STEP_NS))
         .map_err(|error| InputError::new(format!("the board does not assemble: {error}")))?;
-    let vectors = Vectors::new(settings.firmware);
-    let handlers = HANDLERS.map(|handler| settings.firmware.handler(handler.exception).unwrap_or(0));
-    let returns = HANDLERS.iter().enumerate().flat_map(|(n, handler)| {
+    let vectors = Vectors::new(settings.firmware, &settings.wiring);
+    let handlers = settings.wiring.handlers;
+    let handlers = handlers.map(|handler| settings.firmware.handler(handler.exception).unwrap_or(0));
+    let returns = settings.wiring.handlers.iter().enumerate().flat_map(|(n, handler)| {
         settings.firmware.returns(handler.exception).into_iter().map(move |address| (address, n))
     });
     let returns: BTreeMap<u64, usize> = returns.collect();
@@ -143,7 +147,7 @@ pub fn fly(
     let pilot = Pilot {
         world: World::new(scene, seed),
         observer,
-        wiring: settings.wiring,
+        wiring: settings.wiring.clone(),
         channels: scene.config.params.channels,
         steps: steps_of(scene),
         after_crash: (settings.after_crash_s * 1e9) as u64 / STEP_NS,
@@ -171,7 +175,7 @@ pub fn fly(
         sleeps,
         timing: Timing::default(),
         light: vec![(0.0, false)],
-        rules: Rules::new(settings.wiring),
+        rules: Rules::new(settings.wiring.clone()),
         astray: false,
         arms_by_ns: match &scene.pilot {
             // The gesture, the checks, and some time.
@@ -217,6 +221,7 @@ pub fn fly(
         escs: pilot.escs,
         log: pilot.log.into_lines(),
         timing: pilot.timing,
+        wiring: pilot.wiring,
         light: pilot.light,
         broken_off,
     };
@@ -247,7 +252,7 @@ fn configuration(config: &Config) -> Result<Image, InputError> {
 struct Pilot {
     world: World,
     observer: Option<FlightLog>,
-    wiring: &'static Wiring,
+    wiring: Arc<Wiring>,
     channels: flight_core::rc::ChannelMap,
     steps: u64,
     after_crash: u64,
@@ -270,7 +275,7 @@ struct Pilot {
     faults: Vec<(u64, Fault)>,
     active: crate::faults::Active,
     vectors: Vectors,
-    handlers: [u64; HANDLERS.len()],
+    handlers: [u64; HANDLERS],
     returns: BTreeMap<u64, usize>,
     sleeps: Vec<u64>,
     timing: Timing,
@@ -281,7 +286,7 @@ struct Pilot {
     arms_by_ns: u64,
     hopeless: bool,
     /// Handlers at whose next entry all other interrupts are raised.
-    raise_all: [bool; HANDLERS.len()],
+    raise_all: [bool; HANDLERS],
     in_ccm: BTreeMap<(usize, usize), u64>,
     done: bool,
 }
@@ -422,15 +427,16 @@ impl Driver<FlightBoard> for Pilot {
             Settled::Access { access, .. } => {
                 let at = access.address;
                 let machine = &mut session.board_mut().machine;
-                if board::touches_pads(at) {
+                if self.wiring.touches_pads(at) {
                     machine.follow_pads(access.virtual_time);
-                    if access.kind == AccessKind::Write && board::is_motor_timer(at) {
+                    if access.kind == AccessKind::Write && self.wiring.is_motor_timer(at) {
                         self.timing.motor_access(access.virtual_time.0, access.instruction_count);
                     }
                 }
                 self.vectors.accessed(machine, at);
                 if board::is_dma(at) {
-                    self.rules.dma_accessed(machine, access.virtual_time.0 as f64 * 1e-9);
+                    let written = access.kind == AccessKind::Write;
+                    self.rules.dma_accessed(machine, at, written, access.virtual_time.0 as f64 * 1e-9);
                     for stream in machine.part.unreachable_by_dma() {
                         self.in_ccm.entry(stream).or_insert(access.program_counter.unwrap_or(0));
                     }
@@ -448,8 +454,9 @@ impl Driver<FlightBoard> for Pilot {
                 if let Some(handler) = self.handlers.iter().position(|entry| *entry == hit.address) {
                     self.timing.entered(handler, hit.at.0, hit.instruction_count);
                     if std::mem::take(&mut self.raise_all[handler]) {
-                        let others = HANDLERS.iter().map(|other| other.exception);
-                        let others = others.filter(|other| *other != HANDLERS[handler].exception);
+                        let handlers = &self.wiring.handlers;
+                        let others = handlers.iter().map(|other| other.exception);
+                        let others = others.filter(|other| *other != handlers[handler].exception);
                         let lines = others.filter_map(|other| InterruptLine::new(other.checked_sub(16)?));
                         lines.for_each(|line| session.pulse(line, host));
                     }
@@ -484,7 +491,7 @@ impl Driver<FlightBoard> for Pilot {
         self.take_edges(machine);
         while self.faults.last().is_some_and(|(at_ns, _)| *at_ns <= now_ns) {
             match self.faults.pop() {
-                Some((_, Fault::AllInterrupts)) => self.raise_all = [true; HANDLERS.len()],
+                Some((_, Fault::AllInterrupts)) => self.raise_all = [true; HANDLERS],
                 Some((_, Fault::ResetPin)) => session.reset_by_pin(stop.at, stop.instruction_count, host),
                 Some((_, fault)) => {
                     self.active.apply(fault, &mut session.board_mut().machine, host, stop.at);

@@ -6,14 +6,15 @@
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+use std::sync::Arc;
 use std::time::Instant;
 
+use board::Board;
 use clap::Parser;
-use emulator::board::{BOARDS, INSTRUCTIONS_PER_SECOND, Wiring};
+use emulator::board::{INSTRUCTIONS_PER_SECOND, Wiring};
 use emulator::firmware::Firmware;
 use emulator::flight::{self, Flown, Settings};
 use emulator::radio::Protocol;
-use emulator::timing::HANDLERS;
 use input::InputError;
 use serde_json::{Value, json};
 use sim_host::flight::{FlightLog, summary};
@@ -48,9 +49,9 @@ struct Arguments {
     /// The image; without it, the one that `cargo flash-fw` programs is built from the sources
     #[arg(long, value_name = "ELF")]
     image: Option<PathBuf>,
-    /// The board
-    #[arg(long, value_name = "NAME", default_value = "speedybee-f405-v4")]
-    board: String,
+    /// The board, built-in or a file; without it, the image's, or speedybee-f405-v4
+    #[arg(long, value_name = "NAME|F.toml")]
+    board: Option<String>,
     /// What the radio receiver speaks
     #[arg(long, value_enum, value_name = "PROTOCOL", default_value_t = Protocol::Crsf)]
     radio: Protocol,
@@ -82,7 +83,6 @@ fn main() -> ExitCode {
 }
 
 fn run(arguments: &Arguments) -> Result<(String, bool), InputError> {
-    let wiring = board(&arguments.board)?;
     let mut scene = Scene::load_with_vehicle(&arguments.scene, arguments.vehicle.as_deref())?;
     if let Some(seed) = arguments.seed {
         scene.seed = seed;
@@ -94,16 +94,19 @@ fn run(arguments: &Arguments) -> Result<(String, bool), InputError> {
         let allowed = "is missing: nobody flies in this scene; `sim-host scenes` lists those that are flown";
         return Err(InputError::new(allowed).file(&scene.name).field("pilot"));
     }
-    wiring.check(&scene)?;
     let image = arguments.image.as_deref().unwrap_or(Path::new(""));
     spare(&[Path::new(&arguments.scene), image], &[("--log", arguments.log.as_deref())])?;
+    let named = arguments.board.as_deref();
+    let read = arguments.image.as_deref().map(Firmware::read).transpose()?;
+    let wiring = Arc::new(Wiring::new(board_of(named, read.as_ref())?, &scene.design));
+    wiring.check(&scene)?;
+    let firmware = read.map_or_else(|| build(named), Ok)?;
     let log = arguments.log.as_ref().map(|path| FlightLog::create(path, &scene)).transpose()?;
-    let firmware = arguments.image.as_deref().map_or_else(Firmware::build, Firmware::read)?;
     let settings = Settings {
         firmware: &firmware,
-        wiring,
+        wiring: wiring.clone(),
         radio: arguments.radio,
-        config: Some(scene.config),
+        config: Some(scene.board_config()),
         print_log: arguments.firmware_log,
         after_crash_s: 0.0,
         faults: Vec::new(),
@@ -119,18 +122,36 @@ fn run(arguments: &Arguments) -> Result<(String, bool), InputError> {
     let complaints = complaints(&flown);
     let failed = !complaints.is_empty();
     let text = if arguments.json {
-        to_json(&scene, &firmware, wiring, &flown, &complaints, wall_s).to_string()
+        to_json(&scene, &firmware, &wiring, &flown, &complaints, wall_s).to_string()
     } else {
-        describe(&scene, &firmware, wiring, &flown, &complaints, wall_s)
+        describe(&scene, &firmware, &wiring, &flown, &complaints, wall_s)
     };
     Ok((text, failed))
 }
 
-fn board(name: &str) -> Result<&'static Wiring, InputError> {
-    BOARDS.iter().find(|board| board.name == name).copied().ok_or_else(|| {
-        let names: Vec<&str> = BOARDS.iter().map(|board| board.name).collect();
-        InputError::new(format!("must be one of: {}", names.join(", "))).field("--board").value(name)
-    })
+/// The board that is flown: that of `--board`, or of the image, or the default one.
+fn board_of(named: Option<&str>, image: Option<&Firmware>) -> Result<Board, InputError> {
+    let Some(image) = image else { return Board::load(named.unwrap_or(board::DEFAULT)) };
+    let of_image = image.board();
+    let board = Board::load(named.unwrap_or(&of_image)).map_err(|error| match named {
+        Some(_) => error,
+        None => InputError::new(format!("is for the board {of_image}, whose file --board must name"))
+            .file(image.name()),
+    })?;
+    if board.name != of_image {
+        let allowed = format!("is for the board {of_image}, and --board says {}", board.name);
+        return Err(InputError::new(allowed).file(image.name()));
+    }
+    Ok(board)
+}
+
+/// Builds the image for a board.
+fn build(named: Option<&str>) -> Result<Firmware, InputError> {
+    let Some(name) = named else { return Firmware::build(&[]) };
+    // A path is from where the command was started.
+    let path = name.ends_with(".toml").then(|| std::path::absolute(name).ok()).flatten();
+    let value = path.map_or(name.to_owned(), |path| path.display().to_string());
+    Firmware::build(&[("KESTREL_BOARD", &value)])
 }
 
 /// What is not as it must be.
@@ -202,7 +223,7 @@ fn describe(
          data ready to handler    {:.2} to {:.2} us; jitter of the time stamp {:.1} us\n  \
          data ready to motors     mean {:.1} us, most {:.1} us; instructions mean {:.0}, most {}\n  \
          gaps                     {}",
-        wiring.title,
+        wiring.board.title,
         firmware.name(),
         firmware.sha256(),
         flown.escs.iter().map(|esc| esc.commands.len()).sum::<usize>(),
@@ -224,7 +245,7 @@ fn describe(
     for gap in &flown.gaps {
         write!(text, "\n    {gap}").expect(TAKES_ALL);
     }
-    for (handler, runs) in HANDLERS.iter().zip(&timing.runs) {
+    for (handler, runs) in wiring.handlers.iter().zip(&timing.runs) {
         let name = format!("{}: {}", handler.vector, handler.task);
         write!(
             text,
@@ -257,7 +278,7 @@ fn to_json(
     let mut json = summary::to_json(scene, scene.seed, &flown.outcome, wall_s);
     let timing = &flown.timing;
     let further = json!({
-        "board": wiring.name,
+        "board": wiring.board.name,
         "firmware": firmware.name(),
         "image_sha256": firmware.sha256(),
         "armed": flown.armed,
@@ -274,7 +295,7 @@ fn to_json(
         "latency_instructions_mean": timing.latency_instructions.mean(),
         "latency_instructions_max": timing.latency_instructions.most,
         "latency_us_max": timing.latency_ns.most as f64 * 1e-3,
-        "handlers": HANDLERS.iter().zip(&timing.runs).map(|(handler, runs)| json!({
+        "handlers": wiring.handlers.iter().zip(&timing.runs).map(|(handler, runs)| json!({
             "vector": handler.vector, "task": handler.task, "priority": handler.priority, "runs": runs.count(),
             "instructions_mean": runs.mean(), "instructions_max": runs.most, "share": runs.share_of_time(flown.outcome.flown_s()),
         })).collect::<Vec<_>>(),

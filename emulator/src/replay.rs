@@ -5,11 +5,12 @@
 //! floating-point unit and the firmware's own wiring of the flight controller add nothing and lose nothing.
 
 use flight_core::calibration::Sensitivity;
-use flight_core::geometry::{Mat3, vec3};
+use flight_core::geometry::{Mat3, Vec3};
 use flight_core::record::{Outcome, StepRecord};
 use flight_core::{Config, FlightController};
+use input::axes::Axes;
 
-use crate::board::{Axes, Wiring};
+use crate::board::Wiring;
 
 /// The configuration that the firmware flies with: the stored one, with the sensors mounted as on the board.
 pub fn on_board(config: &Config, wiring: &Wiring) -> Config {
@@ -23,11 +24,7 @@ pub fn on_board(config: &Config, wiring: &Wiring) -> Config {
 
 /// From the chip's axes to the body's.
 fn mounting(axes: &Axes) -> Mat3<f32> {
-    let mut rows = [[0.0; 3]; 3];
-    for (chip, (body, sign)) in axes.iter().enumerate() {
-        rows[*body][chip] = *sign as f32;
-    }
-    Mat3 { rows: rows.map(|[x, y, z]| vec3(x, y, z)) }
+    Mat3 { rows: axes.rows().map(|row| Vec3::from(row.map(f32::from))) }
 }
 
 /// The first step whose outcome differs: its place among the records, and what came here.

@@ -4,6 +4,7 @@
 //! The models answer whatever a register says; a chip on a board does not. What is broken here counts as a gap.
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
 use rigless::mcu::Mcu as _;
 use rigless::soc::stm32f427::generated::{adc1, c_adc, dbg, dma2, gpioa, i2c3, spi1, usart6};
@@ -29,7 +30,7 @@ const SAMPLE_CYCLES: [u64; 8] = [3, 15, 28, 56, 84, 112, 144, 480];
 
 /// The rules, and which were broken.
 pub struct Rules {
-    wiring: &'static Wiring,
+    wiring: Arc<Wiring>,
     standing: BTreeMap<String, u32>,
     broken: BTreeMap<String, f64>,
     /// Streams of both controllers that were on at the last access.
@@ -38,7 +39,7 @@ pub struct Rules {
 
 impl Rules {
     /// The rules of a board.
-    pub fn new(wiring: &'static Wiring) -> Self {
+    pub fn new(wiring: Arc<Wiring>) -> Self {
         Self { wiring, standing: BTreeMap::new(), broken: BTreeMap::new(), streams_on: 0 }
     }
 
@@ -46,10 +47,10 @@ impl Rules {
     pub fn look(&mut self, machine: &Machine, now_s: f64) {
         let found = [
             self.pins(machine),
-            compass_bus(machine, self.wiring),
-            imu_bus(machine, self.wiring),
+            compass_bus(machine, &self.wiring),
+            imu_bus(machine, &self.wiring),
             converter(machine),
-            halts(machine),
+            halts(machine, &self.wiring),
         ];
         let found: Vec<String> = found.into_iter().flatten().collect();
         self.standing.retain(|what, _| found.contains(what));
@@ -62,19 +63,37 @@ impl Rules {
         }
     }
 
-    /// A register of a DMA controller was accessed: a stream that is switched on has no flag of an earlier transfer
-    /// (RM0090, 10.3.17, "before setting EN").
-    pub fn dma_accessed(&mut self, machine: &Machine, now_s: f64) {
+    /// A register of a DMA controller was accessed, and written to if `written`: a stream that is switched on has no flag of
+    /// an earlier transfer (RM0090, 10.3.17, "before setting EN"), its count and addresses are not written to while it is on
+    /// (10.5.6 to 10.5.8), and the inertial sensor's streams come before all others of their controller.
+    pub fn dma_accessed(&mut self, machine: &Machine, address: u64, written: bool, now_s: f64) {
         use dma2::Register::{Hisr, Lisr, S0cr, S1cr, S2cr, S3cr, S4cr, S5cr, S6cr, S7cr};
         const CONTROLS: [dma2::Register; 8] = [S0cr, S1cr, S2cr, S3cr, S4cr, S5cr, S6cr, S7cr];
         /// Where the six flags of streams 0 to 3 begin in LISR, of 4 to 7 in HISR.
         const FLAGS: [u32; 4] = [0, 6, 16, 22];
         for (controller, name) in ["DMA1", "DMA2"].into_iter().enumerate() {
             let Some(registers) = machine.bus().registers(name) else { continue };
+            let number = controller as u8 + 1;
+            // Control, count, two addresses: from 0x10 on, 24 bytes for each stream.
+            let place = address.wrapping_sub(0x4002_6000 + 0x400 * controller as u64 + 0x10);
             for (stream, control) in CONTROLS.into_iter().enumerate() {
                 let bit = 1 << (8 * controller + stream);
                 let on = dma2::s0cr::EN.is_set(registers.get(control));
                 let status = registers.get(if stream < 4 { Lisr } else { Hisr });
+                let its = place / 24 == stream as u64 && (4..20).contains(&(place % 24));
+                if written && its && self.streams_on & bit != 0 {
+                    self.broken
+                        .entry(format!("{name} stream {stream} is set up anew while it is on"))
+                        .or_insert(now_s);
+                }
+                let sensors = self.wiring.board.imu.streams;
+                let of_sensor =
+                    sensors.iter().any(|s| (s.controller, usize::from(s.number)) == (number, stream));
+                if on && of_sensor && dma2::s0cr::PL.get(registers.get(control)) != 3 {
+                    self.broken
+                        .entry(format!("{name} stream {stream} must have the highest priority"))
+                        .or_insert(now_s);
+                }
                 if on && self.streams_on & bit == 0 && status >> FLAGS[stream % 4] & 0x3d != 0 {
                     self.broken
                         .entry(format!(
@@ -100,7 +119,7 @@ impl Rules {
     fn pins(&self, machine: &Machine) -> Vec<String> {
         let wrong =
             self.wiring.connections.iter().filter(|connection| {
-                is_on(machine, connection.instance) && !is_connected(machine, connection)
+                is_on(machine, &connection.instance) && !is_connected(machine, connection)
             });
         wrong
             .map(|connection| {
@@ -125,7 +144,7 @@ fn is_on(machine: &Machine, instance: &str) -> bool {
     match &instance[..instance.len() - 1] {
         "I2C" => i2c3::cr1::PE.is_set(registers.get(i2c3::Register::Cr1)),
         "SPI" => spi1::cr1::SPE.is_set(registers.get(spi1::Register::Cr1)),
-        "USART" => usart6::cr1::UE.is_set(registers.get(usart6::Register::Cr1)),
+        "USART" | "UART" => usart6::cr1::UE.is_set(registers.get(usart6::Register::Cr1)),
         _ => false,
     }
 }
@@ -149,7 +168,7 @@ fn is_connected(machine: &Machine, connection: &Connection) -> bool {
 
 /// RM0090, 27.6.2, 27.6.8 and 27.6.9; a transfer is short, and ends with a stop.
 fn compass_bus(machine: &Machine, wiring: &Wiring) -> Vec<String> {
-    let instance = ["I2C1", "I2C2", "I2C3"][wiring.compass_i2c];
+    let instance = wiring.board.compass.scl.peripheral.as_str();
     if !is_on(machine, instance) {
         return Vec::new();
     }
@@ -189,7 +208,7 @@ fn compass_bus(machine: &Machine, wiring: &Wiring) -> Vec<String> {
 
 /// The inertial sensor takes mode 0 and mode 3.
 fn imu_bus(machine: &Machine, wiring: &Wiring) -> Vec<String> {
-    let instance = ["SPI1", "SPI2", "SPI3"][wiring.imu_spi];
+    let instance = wiring.board.imu.bus[0].peripheral.as_str();
     let Some(registers) = machine.bus().registers(instance).filter(|_| is_on(machine, instance)) else {
         return Vec::new();
     };
@@ -244,16 +263,28 @@ fn converter(machine: &Machine) -> Vec<String> {
 
 /// While a debug probe halts the core the motors' timers and the watchdog stand, and the core's clock runs on in its
 /// sleep (docs/hardware.md). From when the inertial sensor's bus is set up, which comes later.
-fn halts(machine: &Machine) -> Vec<String> {
+fn halts(machine: &Machine, wiring: &Wiring) -> Vec<String> {
     let Some(debug) = machine.bus().registers("DBG").filter(|_| is_on(machine, "SPI1")) else {
         return Vec::new();
     };
-    let frozen = debug.get(dbg::Register::DbgmcuApb1Fz);
+    let on_apb1 = debug.get(dbg::Register::DbgmcuApb1Fz);
+    let on_apb2 = debug.get(dbg::Register::DbgmcuApb2Fz);
     let control = debug.get(dbg::Register::DbgmcuCr);
     let mut broken = Vec::new();
-    // Bits 1 and 2: TIM3 and TIM4; bit 12: the watchdog.
-    if frozen & 0x1006 != 0x1006 {
-        broken.push("TIM3, TIM4 or the watchdog goes on while a probe halts the core".into());
+    let motors = wiring.board.timers.iter().map(|timer| timer.name.as_str());
+    for name in motors.chain(["IWDG"]) {
+        // RM0090, 38.16.4 and 38.16.5.
+        let held = match name {
+            "TIM1" => on_apb2 & 1,
+            "TIM8" => on_apb2 >> 1 & 1,
+            "TIM2" => on_apb1 & 1,
+            "TIM3" => on_apb1 >> 1 & 1,
+            "TIM4" => on_apb1 >> 2 & 1,
+            _ => on_apb1 >> 12 & 1,
+        };
+        if held == 0 {
+            broken.push(format!("{name} goes on while a probe halts the core"));
+        }
     }
     if control & 1 == 0 {
         broken.push("a probe can't read the memory while the core sleeps".into());

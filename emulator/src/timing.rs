@@ -52,19 +52,49 @@ pub struct Handler {
     pub priority: u8,
 }
 
-/// All handlers that run in flight.
-pub const HANDLERS: [Handler; 8] = [
-    Handler { vector: "EXTI4", task: "data ready", exception: 16 + 10, priority: 6 },
-    Handler { vector: "USART2", task: "receive", exception: 16 + 38, priority: 6 },
-    Handler { vector: "TIM5", task: "overdue", exception: 16 + 50, priority: 6 },
-    Handler { vector: "DMA2_STREAM0", task: "flight", exception: 16 + 56, priority: 5 },
-    Handler { vector: "SysTick", task: "tick", exception: 15, priority: 4 },
-    Handler { vector: "HASH_RNG", task: "supply", exception: 16 + 80, priority: 3 },
-    Handler { vector: "DCMI", task: "imu, health, announce", exception: 16 + 78, priority: 2 },
-    Handler { vector: "CRYP", task: "compass", exception: 16 + 79, priority: 1 },
+/// How many handlers run in flight.
+pub const HANDLERS: usize = 8;
+
+/// The handlers that run in flight, on a board with these vectors of the data-ready line and of the receiver's port.
+pub fn handlers(ready: &str, serial: &str) -> [Handler; HANDLERS] {
+    let board = |name: &str, task| {
+        let found = VECTORS.iter().find(|(vector, _)| *vector == name).expect("a vector of the chip");
+        Handler { vector: found.0, task, exception: 16 + found.1, priority: 6 }
+    };
+    [
+        board(ready, "data ready"),
+        board(serial, "receive"),
+        board("TIM5", "overdue"),
+        Handler { vector: "DMA2_STREAM0", task: "flight", exception: 16 + 56, priority: 5 },
+        Handler { vector: "SysTick", task: "tick", exception: 15, priority: 4 },
+        Handler { vector: "HASH_RNG", task: "supply", exception: 16 + 80, priority: 3 },
+        Handler { vector: "DCMI", task: "imu, health, announce", exception: 16 + 78, priority: 2 },
+        Handler { vector: "CRYP", task: "compass", exception: 16 + 79, priority: 1 },
+    ]
+}
+
+/// Interrupts by name and number (RM0090, table 61).
+const VECTORS: [(&str, u16); 14] = [
+    ("EXTI0", 6),
+    ("EXTI1", 7),
+    ("EXTI2", 8),
+    ("EXTI3", 9),
+    ("EXTI4", 10),
+    ("EXTI9_5", 23),
+    ("EXTI15_10", 40),
+    ("USART1", 37),
+    ("USART2", 38),
+    ("USART3", 39),
+    ("TIM5", 50),
+    ("UART4", 52),
+    ("UART5", 53),
+    ("USART6", 71),
 ];
 
-/// Place of the data-ready interrupt in [`HANDLERS`].
+/// Their priorities, in the same order.
+const PRIORITIES: [u8; HANDLERS] = [6, 6, 6, 5, 4, 3, 2, 1];
+
+/// Place of the data-ready interrupt in [`handlers`].
 const DATA_READY: usize = 0;
 
 /// What a flight shows of the firmware's timing.
@@ -78,8 +108,8 @@ pub struct Timing {
     pub latency_ns: Spread,
     /// Instructions in that time, of all priorities.
     pub latency_instructions: Spread,
-    /// Instructions of a run of each of [`HANDLERS`], without those of the handlers that interrupted it.
-    pub runs: [Spread; HANDLERS.len()],
+    /// Instructions of a run of each of [`handlers`], without those of the handlers that interrupted it.
+    pub runs: [Spread; HANDLERS],
     /// The firmware's time stamp less the instant of INT1, ns, least and most: two clocks, so that only the difference
     /// of the two says something.
     stamp_ns: Option<(i64, i64)>,
@@ -88,7 +118,7 @@ pub struct Timing {
     running: Vec<(usize, u64)>,
     /// Up to here the instructions are assigned.
     assigned: u64,
-    /// Which handler has interrupted which, places in [`HANDLERS`]: the one below, the one on top.
+    /// Which handler has interrupted which, places in [`handlers`]: the one below, the one on top.
     pub interrupted: BTreeSet<(usize, usize)>,
     ready: Option<(u64, u64)>,
     entered: bool,
@@ -107,18 +137,14 @@ impl Timing {
         self.last_motor = None;
     }
 
-    /// A handler of [`HANDLERS`] is entered.
+    /// A handler is entered: its place in [`handlers`].
     pub fn entered(&mut self, handler: usize, now_ns: u64, instructions: u64) {
         self.assign(instructions);
         if let Some((below, _)) = self.running.last() {
             self.interrupted.insert((*below, handler));
         }
         // What this one does not interrupt has ended, by a way out that is not watched.
-        while self
-            .running
-            .last()
-            .is_some_and(|(below, _)| HANDLERS[*below].priority >= HANDLERS[handler].priority)
-        {
+        while self.running.last().is_some_and(|(below, _)| PRIORITIES[*below] >= PRIORITIES[handler]) {
             self.end();
         }
         self.running.push((handler, 0));

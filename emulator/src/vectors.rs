@@ -7,61 +7,98 @@
 use rigless::mcu::Mcu as _;
 use rigless::soc::stm32f427::generated::{dma2, exti, tim2, usart6};
 
-use crate::board::Machine;
+use crate::board::{Machine, Wiring};
 use crate::firmware::Firmware;
+use crate::timing::Handler;
+
+/// A source of interrupts.
+enum Source {
+    /// A line of the external interrupts.
+    Line(u8),
+    /// The receiver's port.
+    Serial(String),
+    /// The deadline.
+    Deadline,
+    /// The end of the inertial sensor's burst.
+    Burst,
+}
+
+impl Source {
+    /// First address and length of the registers by which it is served.
+    fn registers(&self) -> (u64, u64) {
+        let from = match self {
+            Self::Line(_) => 0x4001_3c00,
+            Self::Serial(name) => match name.as_str() {
+                "USART1" => 0x4001_1000,
+                "USART6" => 0x4001_1400,
+                "USART2" => 0x4000_4400,
+                "USART3" => 0x4000_4800,
+                "UART4" => 0x4000_4c00,
+                _ => 0x4000_5000,
+            },
+            Self::Deadline => 0x4000_0c00,
+            Self::Burst => 0x4002_6400,
+        };
+        (from, 0x400)
+    }
+
+    /// Whether its line is up (RM0090: the interrupt enables and flags of each).
+    fn asserted(&self, machine: &Machine) -> bool {
+        let registers = |name: &str| machine.bus().registers(name);
+        match self {
+            Self::Line(line) => registers("EXTI").is_some_and(|exti| {
+                exti.get(exti::Register::Pr) & exti.get(exti::Register::Imr) & 1 << line != 0
+            }),
+            Self::Serial(name) => registers(name).is_some_and(|usart| {
+                let received = usart6::sr::RXNE.mask() | usart6::sr::ORE.mask();
+                usart6::cr1::RXNEIE.is_set(usart.get(usart6::Register::Cr1))
+                    && usart.get(usart6::Register::Sr) & received != 0
+            }),
+            Self::Deadline => registers("TIM5").is_some_and(|tim5| {
+                tim5.get(tim2::Register::Sr) & tim5.get(tim2::Register::Dier) & 0x5f != 0
+            }),
+            Self::Burst => registers("DMA2").is_some_and(|dma| {
+                let (status, control) = (dma.get(dma2::Register::Lisr), dma.get(dma2::Register::S0cr));
+                (dma2::lisr::TCIF0.is_set(status) && dma2::s0cr::TCIE.is_set(control))
+                    || (dma2::lisr::HTIF0.is_set(status) && dma2::s0cr::HTIE.is_set(control))
+                    || (dma2::lisr::TEIF0.is_set(status) && dma2::s0cr::TEIE.is_set(control))
+                    || (dma2::lisr::DMEIF0.is_set(status) && dma2::s0cr::DMEIE.is_set(control))
+            }),
+        }
+    }
+}
 
 /// A vector whose source can be looked at.
 struct Vector {
     name: &'static str,
     entry: u64,
-    /// First address and length of the registers by which the source is served.
-    registers: (u64, u64),
-    asserted: fn(&Machine) -> bool,
+    source: Source,
     /// It was asserted when the handler was entered last, and has been since.
     unserved: bool,
     entered_again: u64,
     first_ns: u64,
 }
 
-/// Table 62 of RM0090: number, name, registers, and whether the line is up.
-type Row = (u16, &'static str, (u64, u64), fn(&Machine) -> bool);
-
-const SOURCES: [Row; 4] = [
-    (10, "EXTI4", (0x4001_3c00, 0x400), |machine| {
-        let Some(exti) = machine.bus().registers("EXTI") else { return false };
-        exti.get(exti::Register::Pr) & exti.get(exti::Register::Imr) & 1 << 4 != 0
-    }),
-    (38, "USART2", (0x4000_4400, 0x400), |machine| {
-        let Some(usart) = machine.bus().registers("USART2") else { return false };
-        let received = usart6::sr::RXNE.mask() | usart6::sr::ORE.mask();
-        usart6::cr1::RXNEIE.is_set(usart.get(usart6::Register::Cr1))
-            && usart.get(usart6::Register::Sr) & received != 0
-    }),
-    (50, "TIM5", (0x4000_0c00, 0x400), |machine| {
-        let Some(tim5) = machine.bus().registers("TIM5") else { return false };
-        tim5.get(tim2::Register::Sr) & tim5.get(tim2::Register::Dier) & 0x5f != 0
-    }),
-    (56, "DMA2_STREAM0", (0x4002_6400, 0x400), |machine| {
-        let Some(dma) = machine.bus().registers("DMA2") else { return false };
-        let (status, control) = (dma.get(dma2::Register::Lisr), dma.get(dma2::Register::S0cr));
-        (dma2::lisr::TCIF0.is_set(status) && dma2::s0cr::TCIE.is_set(control))
-            || (dma2::lisr::HTIF0.is_set(status) && dma2::s0cr::HTIE.is_set(control))
-            || (dma2::lisr::TEIF0.is_set(status) && dma2::s0cr::TEIE.is_set(control))
-            || (dma2::lisr::DMEIF0.is_set(status) && dma2::s0cr::DMEIE.is_set(control))
-    }),
-];
-
 /// All vectors that are watched.
 pub struct Vectors(Vec<Vector>);
 
 impl Vectors {
-    /// The vectors of an image.
-    pub fn new(firmware: &Firmware) -> Self {
-        let vector = |(number, name, registers, asserted): Row| {
-            let entry = firmware.handler(16 + number)?;
-            Some(Vector { name, entry, registers, asserted, unserved: false, entered_again: 0, first_ns: 0 })
+    /// The vectors of an image for a board.
+    pub fn new(firmware: &Firmware, wiring: &Wiring) -> Self {
+        let [ready, receive, overdue, flight, ..] = wiring.handlers;
+        let vector = |handler: Handler, source| {
+            let entry = firmware.handler(handler.exception)?;
+            let name = handler.vector;
+            Some(Vector { name, entry, source, unserved: false, entered_again: 0, first_ns: 0 })
         };
-        Self(SOURCES.into_iter().filter_map(vector).collect())
+        let serial = wiring.board.receiver.peripheral.clone();
+        let all = [
+            vector(ready, Source::Line(wiring.board.imu.ready.number)),
+            vector(receive, Source::Serial(serial)),
+            vector(overdue, Source::Deadline),
+            vector(flight, Source::Burst),
+        ];
+        Self(all.into_iter().flatten().collect())
     }
 
     /// A handler is entered.
@@ -73,14 +110,15 @@ impl Vectors {
             }
             vector.entered_again += 1;
         }
-        vector.unserved = (vector.asserted)(machine);
+        vector.unserved = vector.source.asserted(machine);
     }
 
     /// The firmware has accessed a register.
     pub fn accessed(&mut self, machine: &Machine, address: u64) {
         for vector in &mut self.0 {
-            let (from, bytes) = vector.registers;
-            if vector.unserved && (from..from + bytes).contains(&address) && !(vector.asserted)(machine) {
+            let (from, bytes) = vector.source.registers();
+            if vector.unserved && (from..from + bytes).contains(&address) && !vector.source.asserted(machine)
+            {
                 vector.unserved = false;
             }
         }

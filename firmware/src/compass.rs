@@ -9,7 +9,7 @@ use embedded_hal::delay::DelayNs;
 use embedded_hal::i2c::I2c;
 use flight_core::sample::MagSample;
 
-use crate::tally::TALLY;
+use tasks::tally::TALLY;
 
 /// Runs from one attempt to find the sensor to the next: a second.
 const RETRY_RUNS: u32 = 200;

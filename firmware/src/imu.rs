@@ -1,6 +1,6 @@
 //! The inertial sensor's set-up: at start, and again whenever the sensor must be set up again, in flight too.
 //!
-//! Nobody waits for it. While it lasts it has the sensor's bus ([`crate::sampling`]), and the flight task steps
+//! Nobody waits for it. While it lasts it has the sensor's bus ([`tasks::sampling`]), and the flight task steps
 //! without samples: on the ground it refuses to arm; in flight it goes on if the samples are back within 0.1 s, and
 //! stops the motors if not.
 //!
@@ -12,21 +12,21 @@
 //! ```
 
 use drivers::icm42688p::{Progress, Setup};
+use tasks::sampling;
 
 use crate::board;
-use crate::sampling;
-use crate::stm32f405::burst::ImuSpi;
+use crate::stm32f405::burst::{ImuSpi, Wired};
 
 /// The sensor, for its set-up.
-pub struct Imu {
-    spi: ImuSpi,
+pub struct Imu<W> {
+    spi: ImuSpi<W>,
     /// The set-up that is under way.
     setup: Option<Setup>,
 }
 
-impl Imu {
+impl<W: Wired> Imu<W> {
     /// Not set up yet.
-    pub fn new(spi: ImuSpi) -> Self {
+    pub fn new(spi: ImuSpi<W>) -> Self {
         Self { spi, setup: None }
     }
 

@@ -20,7 +20,7 @@
 //! with each step in which they may. `Outputs::drive` takes that permit by value, and nothing else writes a
 //! pulse other than the stop pulse. A panic, a fault, an interrupt that nobody expected, and a flight task that
 //! does not end its run stop the motors ([`fault`]). The watchdog is fed in one place, `supply`, and only if
-//! the tasks that a flight needs are on time ([`watch`]).
+//! the tasks that a flight needs are on time ([`tasks::watch`]).
 //!
 //! # Two boards, one set of tasks
 //! The tasks below are the same in flight, on a desk and on QEMU; what differs lies in [`board`]. With the feature
@@ -37,22 +37,19 @@
 #[cfg(feature = "bench")]
 mod bench;
 mod board;
-mod clock;
-#[cfg(not(feature = "unwired"))]
+#[cfg(feature = "wired")]
 mod compass;
 mod fault;
-#[cfg(not(feature = "unwired"))]
+mod health;
+#[cfg(feature = "wired")]
 mod imu;
 mod inbox;
-#[cfg(not(feature = "unwired"))]
-mod pilot;
+#[cfg(feature = "wired")]
+mod light;
+#[cfg(feature = "wired")]
+mod radio;
 mod recorder;
-mod sampling;
 mod stm32f405;
-#[cfg(not(feature = "unwired"))]
-mod stored;
-mod tally;
-mod watch;
 
 use defmt_rtt as _;
 #[cfg(feature = "qemu")]
@@ -72,17 +69,17 @@ static KESTREL_IMAGE: [u8; IMAGE_NAME.len()] = {
     bytes.copy_from_slice(IMAGE_NAME.as_bytes());
     bytes
 };
-const IMAGE_NAME: &str = match (cfg!(feature = "unwired"), cfg!(feature = "bench")) {
-    (false, false) => "speedybee-f405-v4\0",
-    (false, true) => "speedybee-f405-v4, bench\0",
-    (true, _) => "no sensors and no motors\0",
+const IMAGE_NAME: &str = if cfg!(feature = "bench") {
+    concat!(env!("KESTREL_BOARD_NAME"), ", bench\0")
+} else {
+    concat!(env!("KESTREL_BOARD_NAME"), "\0")
 };
 
 // | task       | woken by                     | prio | rate      | deadline       | has                           |
 // |------------|------------------------------|------|-----------|----------------|-------------------------------|
-// | (board's)  | EXTI4: data ready            | 6    | 1 kHz     | –              | the time, the burst           |
+// | (board's)  | data ready                   | 6    | 1 kHz     | –              | the time, the burst           |
 // | (board's)  | TIM5: sample overdue         | 6    | ≤ 1 kHz   | –              | the time, the burst           |
-// | `receive`  | USART2: a byte               | 6    | ≤ 42 kHz  | the next byte  | ear                           |
+// | (board's)  | a byte at the receiver's port| 6    | ≤ 42 kHz  | the next byte  | its end of the queue          |
 // | `flight`   | DMA2_STREAM0: burst done, or | 5    | 1 kHz     | 1 ms           | flight controller, sampler,   |
 // |            | pended when overdue          |      |           |                | outputs, monitor; inbox, watch|
 // | `tick`     | SysTick                      | 4    | 1 kHz     | 1 ms           | radio; inbox, watch           |
@@ -108,13 +105,13 @@ mod app {
     use flight_core::watchdog::Deadline;
     use flight_core::{FlightController, Input};
 
-    use crate::board::{
-        self, Board, Compass, Ear, Imu, Monitor, Outputs, Radio, Sampler, Step, Supply, Watchdog,
-    };
+    use tasks::tally::TALLY;
+    use tasks::watch::{self, COMPASS_TICKS, HEALTH_TICKS, SUPPLY_TICKS, Task, Watch};
+    use tasks::{OVERDUE_US, PERIOD_US, sampling};
+
+    use crate::board::{self, Board, Compass, Imu, Monitor, Outputs, Radio, Sampler, Step, Supply, Watchdog};
     use crate::inbox::Inbox;
-    use crate::tally::TALLY;
-    use crate::watch::{self, COMPASS_TICKS, HEALTH_TICKS, SUPPLY_TICKS, Task, Watch};
-    use crate::{recorder, sampling};
+    use crate::recorder;
 
     /// The outputs are locked, because people are about.
     const BENCH: bool = cfg!(feature = "bench");
@@ -140,7 +137,6 @@ mod app {
         imu: Imu,
         outputs: Outputs,
         monitor: Monitor,
-        ear: Ear,
         radio: Radio,
         supply: Supply,
         compass: Compass,
@@ -170,17 +166,7 @@ mod app {
         #[cfg(feature = "bench")]
         crate::bench::begin(&board.config);
         let Board {
-            sampler,
-            imu,
-            outputs,
-            monitor,
-            ear,
-            radio,
-            supply,
-            compass,
-            watchdog,
-            watchdog_reset,
-            ..
+            sampler, imu, outputs, monitor, radio, supply, compass, watchdog, watchdog_reset, ..
         } = board;
         let local = Local {
             controller,
@@ -188,7 +174,6 @@ mod app {
             imu,
             outputs,
             monitor,
-            ear,
             radio,
             supply,
             compass,
@@ -205,11 +190,6 @@ mod app {
         loop {
             cortex_m::asm::wfi();
         }
-    }
-
-    #[task(binds = USART2, priority = 6, local = [ear])]
-    fn receive(cx: receive::Context) {
-        cx.local.ear.hear();
     }
 
     #[task(
@@ -270,7 +250,7 @@ mod app {
         let now_us = board::now_us();
         let took_us = now_us.wrapping_sub(sample.woken_us);
         TALLY.longest_us.most(took_us);
-        let deadline = if took_us <= board::PERIOD_US { Deadline::Met } else { Deadline::Missed };
+        let deadline = if took_us <= PERIOD_US { Deadline::Met } else { Deadline::Missed };
         if watch.lock(|watch| watch.check_in(Task::Flight, deadline, now_us)) {
             announce::spawn(News::Missed(Task::Flight)).ok();
         }
@@ -311,7 +291,7 @@ mod app {
 
         let now_us = board::now_us();
         // A tick that comes so long after the last has swallowed one.
-        let late = now_us.wrapping_sub(*ticked_us) > board::OVERDUE_US;
+        let late = now_us.wrapping_sub(*ticked_us) > OVERDUE_US;
         *ticked_us = now_us;
         let deadline = if late { Deadline::Missed } else { Deadline::Met };
         if watch.lock(|watch| watch.check_in(Task::Tick, deadline, now_us)) {
@@ -341,7 +321,7 @@ mod app {
     #[task(priority = 2, shared = [watch])]
     async fn health(mut cx: health::Context) {
         cx.shared.watch.lock(Watch::begin_report);
-        TALLY.log(watch::missed());
+        crate::health::log(watch::missed());
     }
 
     #[task(priority = 2, local = [imu])]

@@ -4,16 +4,13 @@
 //! rise. The search for the protocol, which the firmware does, runs along.
 #![no_main]
 
-#[allow(dead_code)]
-#[path = "../../firmware/src/pilot.rs"]
-mod pilot;
 #[allow(dead_code)] // the other end of the wire, of which only the frames are needed here
 #[path = "../../receiver/tests/decoding/wire.rs"]
 mod wire;
 
 use flight_core::rc::ChannelMap;
 use libfuzzer_sys::fuzz_target;
-use pilot::{Heard, Pilot};
+use receiver::search::{Received, Search};
 use receiver::{Counts, Frame, Protocol, Receiver};
 
 /// Bytes behind which no frame looks back.
@@ -22,7 +19,7 @@ const LONGEST: usize = 256;
 struct Line {
     protocol: Protocol,
     receiver: Receiver,
-    pilot: Pilot,
+    search: Search,
     time_us: u64,
     /// What has come, a damaged byte too.
     heard: Vec<u8>,
@@ -33,8 +30,8 @@ impl Line {
     fn byte(&mut self, byte: u8, after_us: u64) {
         self.time_us = self.time_us.saturating_add(after_us);
         self.heard.push(byte);
-        self.pilot.search(self.time_us);
-        self.pilot.hear(Heard::Byte(byte), self.time_us);
+        self.search.next_line(self.time_us);
+        self.search.push(Received::Byte(byte), self.time_us);
         let frame = self.receiver.push(byte, self.time_us);
         let counts = self.receiver.counts();
         assert_eq!(counts.good - self.counts.good, u32::from(frame.is_some()));
@@ -49,7 +46,7 @@ impl Line {
         self.time_us = self.time_us.saturating_add(after_us);
         // In no frame: no protocol has a header that a byte of this place could be.
         self.heard.clear();
-        self.pilot.hear(Heard::Damaged, self.time_us);
+        self.search.push(Received::Damaged, self.time_us);
         self.receiver.line_error(self.time_us);
         self.counts = self.receiver.counts();
     }
@@ -100,7 +97,7 @@ fuzz_target!(|data: &[u8]| {
     let mut line = Line {
         protocol,
         receiver: Receiver::new(protocol),
-        pilot: Pilot::new(ChannelMap::AETR),
+        search: Search::new(ChannelMap::AETR),
         time_us: 0,
         heard: Vec::new(),
         counts: Counts::default(),

@@ -44,6 +44,7 @@
 
 mod crsf;
 mod sbus;
+pub mod search;
 
 use flight_core::rc::ChannelMap;
 use flight_core::sample::{LinkStatus, RcFrame};

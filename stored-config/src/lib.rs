@@ -21,6 +21,8 @@
 #![forbid(unsafe_code)]
 #![warn(missing_docs)]
 
+pub mod board;
+
 use core::fmt;
 
 use crc::{CRC_32_ISO_HDLC, Crc, Table};

@@ -1,12 +1,6 @@
-//! The parts of the firmware that need no board: the extension of the microsecond counter, the search for the
-//! receiver's protocol, and what is taken of a stored configuration.
+//! What the firmware takes from crates, where it needs a scene, a receiver or a record: the extension of the microsecond
+//! counter, the search for the receiver's protocol, and what is taken of a stored configuration.
 
-#[path = "../../firmware/src/clock.rs"]
-mod clock;
-#[path = "../../firmware/src/pilot.rs"]
-mod pilot;
-#[path = "../../firmware/src/stored.rs"]
-mod stored;
 #[allow(dead_code)] // the other end of the receiver's wire, of which only the frames are needed here
 #[path = "../../receiver/tests/decoding/wire.rs"]
 mod wire;
@@ -16,16 +10,17 @@ use flight_core::geometry::{Mat3, vec3};
 use flight_core::rc::ChannelMap;
 use flight_core::sample::{LinkStatus, RcFrame};
 use flight_core::{Config, FlightController, Params};
-use pilot::{Heard, Pilot};
 use proptest::prelude::*;
 use receiver::Protocol;
+use receiver::search::{Received, Search};
 use sim_host::scene::{BUILT_IN, Scene};
-use stored::Refused;
+use stored_config::board::{Refused, read_for_board};
 use stored_config::{DecodeError, MAX_RECORD, encode};
+use tasks::clock::Clock;
 
 #[test]
 fn the_clock_goes_on_where_its_counter_wraps() {
-    let mut clock = clock::Clock::new();
+    let mut clock = Clock::new();
     assert_eq!(clock.at(5), 5);
     assert_eq!(clock.at(5), 5);
     let mut count = 5_u32;
@@ -43,26 +38,26 @@ fn the_clock_goes_on_where_its_counter_wraps() {
 
 /// A port with a receiver at its other end, which sends a frame every 10 ms and knows nothing of the port's settings.
 struct Wire {
-    pilot: Pilot,
+    search: Search,
     listens_for: Protocol,
     now_us: u64,
 }
 
 impl Wire {
     fn new() -> Self {
-        Self { pilot: Pilot::new(ChannelMap::AETR), listens_for: Pilot::FIRST, now_us: 0 }
+        Self { search: Search::new(ChannelMap::AETR), listens_for: Search::FIRST, now_us: 0 }
     }
 
     /// Ten milliseconds: the receiver sends `bytes`, in `speaks`.
     fn pass(&mut self, speaks: Protocol, bytes: &[u8]) -> Option<RcFrame> {
         let mut last = None;
         for (n, byte) in bytes.iter().enumerate() {
-            let heard = if self.listens_for == speaks { Heard::Byte(*byte) } else { Heard::Damaged };
-            let frame = self.pilot.hear(heard, self.now_us + wire::received_us(speaks, n));
+            let received = if self.listens_for == speaks { Received::Byte(*byte) } else { Received::Damaged };
+            let frame = self.search.push(received, self.now_us + wire::received_us(speaks, n));
             last = frame.or(last);
         }
         self.now_us += 10_000;
-        if let Some(line) = self.pilot.search(self.now_us) {
+        if let Some(line) = self.search.next_line(self.now_us) {
             self.listens_for = wire::BOTH.into_iter().find(|protocol| protocol.line() == line).unwrap();
         }
         last
@@ -78,7 +73,7 @@ fn the_receivers_protocol_is_found_and_kept() {
         let mut wire = Wire::new();
         let first = (0..150).find_map(|_| wire.pass(speaks, &bytes)).expect("found within 1.5 s");
         assert_eq!(first, ChannelMap::AETR.frame(&channels, LinkStatus::Good));
-        assert_eq!(wire.pilot.found(), Some(speaks));
+        assert_eq!(wire.search.found(), Some(speaks));
 
         // A minute of silence: the port goes on listening for the same, and hears the first frame that comes.
         for _ in 0..6_000 {
@@ -88,10 +83,10 @@ fn the_receivers_protocol_is_found_and_kept() {
 
         // A frame that ends wrong is counted, and the next one heard.
         let (last, begin) = bytes.split_last().unwrap();
-        let before = wire.pilot.damaged();
+        let before = wire.search.damaged();
         assert_eq!(wire.pass(speaks, &[begin, &[last ^ 0x81]].concat()), None);
         assert_eq!(wire.pass(speaks, &bytes), Some(first));
-        assert!(wire.pilot.damaged() > before);
+        assert!(wire.search.damaged() > before);
     }
 }
 
@@ -119,7 +114,7 @@ fn noise_is_no_receiver() {
         let speaks = wire.listens_for;
         assert_eq!(wire.pass(speaks, &bytes), None);
     }
-    assert_eq!(wire.pilot.found(), None);
+    assert_eq!(wire.search.found(), None);
 }
 
 /// A board whose inertial sensor is turned.
@@ -134,7 +129,7 @@ fn board() -> Params {
 fn stored_as(config: &Config) -> Result<Config, Refused> {
     let mut flash = [0xff; MAX_RECORD];
     encode(config, &mut flash).unwrap();
-    stored::read(&flash, &board())
+    read_for_board(&flash, &board())
 }
 
 #[test]
@@ -176,7 +171,7 @@ fn a_configuration_that_is_not_for_the_board_is_refused_by_name() {
         refused(|c| c.calibration.as_mut().unwrap().gyro.matrix = Mat3::IDENTITY * 0.0),
         out_of_range("calibration.gyro.matrix (determinant)")
     );
-    assert_eq!(stored::read(&[0xff; 9], &board()), Err(Refused::Record(DecodeError::Empty)));
+    assert_eq!(read_for_board(&[0xff; 9], &board()), Err(Refused::Record(DecodeError::Empty)));
     assert_eq!(out_of_range("a").map_err(Refused::text), Err::<(), _>(("out of range: ", "a")));
 }
 
@@ -201,7 +196,7 @@ proptest! {
         bytes in prop::collection::vec(any::<u8>(), 0..MAX_RECORD),
         floats in prop::collection::vec((any::<prop::sample::Index>(), prop::num::f32::ANY), 0..3),
     ) {
-        prop_assert!(stored::read(&bytes, &board()).is_err());
+        prop_assert!(read_for_board(&bytes, &board()).is_err());
         // And behind a checksum that fits.
         let config = Config { params: Params::default(), calibration: Some(Calibration::NONE) };
         let mut record = encode(&config, &mut [0; MAX_RECORD]).unwrap().to_vec();
@@ -212,7 +207,7 @@ proptest! {
         }
         let checksum = crc32(&record[..end]);
         record[end..].copy_from_slice(&checksum.to_le_bytes());
-        if let Ok(config) = stored::read(&record, &board()) {
+        if let Ok(config) = read_for_board(&record, &board()) {
             prop_assert!(FlightController::new(&config).is_ok());
         }
     }

@@ -1,44 +1,5 @@
-//! The flight board's way from the data-ready line to a sample (`firmware/src/sampling.rs`), with the inertial sensor
+//! The flight board's way from the data-ready line to a sample (`tasks::sampling`), with the inertial sensor
 //! that `sim-host` plays, and a DMA whose interrupt is a level, as the chip's is.
-
-#[path = "../../firmware/src/clock.rs"]
-mod clock;
-#[expect(unexpected_cfgs, reason = "the firmware's features")]
-#[allow(dead_code, reason = "what only the firmware needs")]
-#[path = "../../firmware/src/sampling.rs"]
-mod sampling;
-
-/// What `sampling.rs` finds beside it in the firmware.
-mod fault {
-    pub fn stop() -> ! {
-        panic!("the motors are stopped");
-    }
-}
-
-mod tally {
-    use std::sync::atomic::{AtomicU32, Ordering};
-
-    #[derive(Default)]
-    pub struct Count(AtomicU32);
-
-    impl Count {
-        pub fn add(&self) {
-            self.0.fetch_add(1, Ordering::Relaxed);
-        }
-
-        pub fn take(&self) -> u32 {
-            self.0.swap(0, Ordering::Relaxed)
-        }
-    }
-
-    macro_rules! counts {
-        ($($name:ident)*) => {
-            pub struct Tally { $(pub $name: Count),* }
-            pub static TALLY: Tally = Tally { $($name: Count(AtomicU32::new(0))),* };
-        };
-    }
-    counts!(lost polled late repeated invalid unreadable);
-}
 
 use std::cell::{Cell, RefCell};
 use std::rc::Rc;
@@ -48,22 +9,28 @@ use drivers::icm42688p::{BURST, FRAME_LEN, Frame, Progress, Setup};
 use embedded_hal::spi::SpiDevice;
 use flight_core::sample::ImuSample;
 use proptest::prelude::*;
-use sampling::{BurstBus, Sample, Sampler, Signal};
 use sim_host::chips::icm42688p::Icm42688p;
 use sim_host::chips::{Clock, Fault};
-use tally::TALLY;
+use tasks::sampling::{self, BurstBus, Next, Sample, Sampler, Signal};
+use tasks::tally::TALLY;
 
 const US: u64 = 1_000;
 const MS: u64 = 1_000_000;
 const S: u64 = 1_000 * MS;
 
-/// `sampling.rs` keeps its state in statics: one test at a time.
+/// `tasks::sampling` keeps its state in statics: one test at a time.
 fn alone() -> MutexGuard<'static, ()> {
     static ONE: Mutex<()> = Mutex::new(());
     let guard = ONE.lock().unwrap_or_else(PoisonError::into_inner);
     sampling::set_up_done();
     sampling::served();
     guard
+}
+
+/// Whether a burst must be started. None of these tests leaves `flight` unserved.
+fn starts(next: Next) -> bool {
+    assert_ne!(next, Next::Stop, "the motors are stopped");
+    next == Next::Burst
 }
 
 /// Stream 0: its flags, which are up until they are taken down, and its buffer.
@@ -162,12 +129,12 @@ proptest! {
             let mut pended = false;
             match event {
                 Event::DataReady => {
-                    let starts = sampling::ready(now_us, dma.running.get());
+                    let starts = starts(sampling::ready(now_us, dma.running.get()));
                     dma.running.set(dma.running.get() || starts);
                     pended = !starts;
                 }
                 Event::Deadline => {
-                    let starts = sampling::poll(now_us);
+                    let starts = starts(sampling::poll(now_us));
                     dma.running.set(dma.running.get() || starts);
                     pended = !starts;
                 }
@@ -202,7 +169,7 @@ fn a_burst_that_begins_while_the_handler_runs_is_left_alone() {
     let _alone = alone();
     let dma = Dma::default();
     let mut sampler = Sampler::new(dma.clone());
-    assert!(sampling::poll(0) && !sampling::poll(500));
+    assert!(starts(sampling::poll(0)) && !starts(sampling::poll(500)));
     // The time was read before the burst began, and the burst is not 71 minutes old.
     dma.running.set(true);
     sampler.take(u32::MAX);
@@ -256,11 +223,11 @@ impl Board {
             edges = self.chip.data_ready_edges();
             if risen && self.connected {
                 self.deadline_us = now_us + 1_500;
-                let starts = sampling::ready(now_us, false);
+                let starts = starts(sampling::ready(now_us, false));
                 self.burst_or_pend(starts);
             } else if now_us >= self.deadline_us {
                 self.deadline_us = now_us + 1_000;
-                let starts = sampling::poll(now_us);
+                let starts = starts(sampling::poll(now_us));
                 self.burst_or_pend(starts);
             }
             if self.clock.now_ns() >= tick_ns {
@@ -361,7 +328,7 @@ fn a_flipped_bit_that_looks_like_a_reset_costs_one_sample() {
     board.steps.clear();
     let mut frame = [0; FRAME_LEN];
     frame[FRAME_LEN - 1] = 0x18;
-    assert!(sampling::ready(board.now_us(), false));
+    assert!(starts(sampling::ready(board.now_us(), false)));
     *board.dma.frame.borrow_mut() = frame;
     board.dma.done.set(true);
     assert!(board.sampler.take(board.now_us()).unwrap().imu.is_none());

@@ -6,6 +6,7 @@ use flight_core::geometry::{Vec3, vec3};
 use flight_core::mixer::Spin;
 use flight_core::rc::{ArmBy, ChannelMap};
 use input::InputError;
+use input::axes::Axes;
 use input::check::{unknown, within};
 use serde::Deserialize;
 
@@ -53,6 +54,8 @@ pub struct File {
     battery: Battery,
     #[serde(default)]
     radio: Radio,
+    #[serde(default)]
+    mounting: Mounting,
 }
 
 /// `[inertia]`: measured, or an estimate from what the vehicle is made of.
@@ -179,6 +182,21 @@ struct Radio {
 impl Default for Radio {
     fn default() -> Self {
         Self { order: "AETR".into(), arm_channel: 5, mode_channel: 6, arm_by: ArmByName::Sticks }
+    }
+}
+
+/// `[mounting]`: where the arrows of what is built in point, its forward, right and down, or a chip's x, y and z.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+struct Mounting {
+    board: [String; 3],
+    compass: [String; 3],
+}
+
+impl Default for Mounting {
+    fn default() -> Self {
+        let along = ["forward", "right", "down"].map(String::from);
+        Self { board: along.clone(), compass: along }
     }
 }
 
@@ -311,6 +329,8 @@ impl File {
                 ArmByName::Sticks => ArmBy::Sticks,
                 ArmByName::Switch => ArmBy::Switch,
             },
+            board_axes: Axes::parse("mounting.board", &self.mounting.board)?,
+            compass_axes: Axes::parse("mounting.compass", &self.mounting.compass)?,
             derived: notes.0,
         })
     }

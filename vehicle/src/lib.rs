@@ -21,10 +21,11 @@ use std::path::Path;
 use flight_core::config::{DescentParams, Params};
 use flight_core::control::ControlParams;
 use flight_core::estimator::EstimatorParams;
-use flight_core::geometry::{Vec3, vec3};
+use flight_core::geometry::{Mat3, Vec3, vec3};
 use flight_core::mixer::{Airframe, Spin};
 use flight_core::rc::{ArmBy, ChannelMap};
 use input::InputError;
+use input::axes::Axes;
 use input::layers::{Layers, ReadText, text_of};
 use toml::de::DeTable;
 
@@ -190,6 +191,10 @@ pub struct Vehicle {
     pub channels: ChannelMap,
     /// How the pilot arms.
     pub arm_by: ArmBy,
+    /// Where the board's forward, right and down point in the vehicle.
+    pub board_axes: Axes,
+    /// Where the magnetometer's x, y and z point in the vehicle.
+    pub compass_axes: Axes,
     /// What the file does not say, and how it was found.
     pub derived: Vec<Derived>,
 }
@@ -253,6 +258,15 @@ impl Vehicle {
             descent: DescentParams { throttle: self.descent_throttle as f32, ..board.descent },
             ..*board
         }
+    }
+
+    /// `params` for a board that is built into this vehicle: with how it lies there, and how the magnetometer does.
+    pub fn mounted(&self, mut params: Params) -> Params {
+        let matrix = |axes: &Axes| Mat3 { rows: axes.rows().map(|row| Vec3::from(row.map(f32::from))) };
+        params.gyro.mounting = matrix(&self.board_axes);
+        params.accel.mounting = matrix(&self.board_axes);
+        params.mag.mounting = matrix(&self.compass_axes);
+        params
     }
 }
 

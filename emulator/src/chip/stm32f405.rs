@@ -19,7 +19,7 @@ use std::sync::LazyLock;
 
 use rigless::chip::Timeline;
 use rigless::cpu::armv7m::{self, Dwt};
-use rigless::device::{DeviceContext, ErasedDevice, RegisterFile, ResetCause};
+use rigless::device::{DeviceContext, ErasedDevice, Level, RegisterFile, ResetCause};
 use rigless::mcu::{Mcu, Operate};
 use rigless::snapshot::{self, Store};
 use rigless::soc::stm32f427::generated::{self, dbg, pwr, rcc as rcc_registers, rtc as rtc_registers};
@@ -41,7 +41,7 @@ use parts::pwr::Pwr;
 use parts::rcc::{self, Rcc};
 use parts::rtc::Rtc;
 use parts::spi::Spi;
-use parts::tim::{Advanced, Tim, UPDATE_REQUEST};
+use parts::tim::{Advanced, General, Tim, UPDATE_REQUEST};
 use parts::usart::Usart;
 
 use super::exti::{self, Exti, Syscfg};
@@ -90,18 +90,22 @@ const ENABLES: [(&str, &str); 5] = [
     ("APB2ENR", "APB2RSTR"),
 ];
 
-/// Update requests of the timers (RM0090, table 42): instance, channel, streams of DMA1.
-const TIMER_UPDATES: [(&str, usize, &[usize]); 4] =
-    [("TIM2", 3, &[1, 7]), ("TIM3", 5, &[2]), ("TIM4", 2, &[6]), ("TIM5", 6, &[0, 6])];
+/// Update requests of the timers (RM0090, tables 42 and 43): instance, channel, streams; of DMA1 and of DMA2.
+const TIMER_UPDATES: [&[(&str, usize, &[usize])]; 2] = [
+    &[("TIM2", 3, &[1, 7]), ("TIM3", 5, &[2]), ("TIM4", 2, &[6]), ("TIM5", 6, &[0, 6])],
+    &[("TIM1", 6, &[5]), ("TIM8", 7, &[1])],
+];
 
-static DMA1_WIRING: LazyLock<Vec<Wire>> = LazyLock::new(|| {
-    let updates = TIMER_UPDATES.iter().map(|&(instance, channel, streams)| Wire {
-        instance,
-        request: UPDATE_REQUEST,
-        channel,
-        streams,
-    });
-    CONTROLLERS[0].wiring.iter().copied().chain(updates).collect()
+static DMA_WIRING: LazyLock<[Vec<Wire>; 2]> = LazyLock::new(|| {
+    std::array::from_fn(|n| {
+        let updates = TIMER_UPDATES[n].iter().map(|&(instance, channel, streams)| Wire {
+            instance,
+            request: UPDATE_REQUEST,
+            channel,
+            streams,
+        });
+        CONTROLLERS[n].wiring.iter().copied().chain(updates).collect()
+    })
 });
 
 /// The internal oscillator, on which everything runs at first.
@@ -160,6 +164,23 @@ fn field_of(instance: &str) -> Field {
         .unwrap_or(Field::None)
 }
 
+/// A timer by its place among its kind.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum TimerPlace {
+    /// TIM2 to TIM5.
+    General(usize),
+    /// TIM1 and TIM8.
+    Advanced(usize),
+}
+
+impl TimerPlace {
+    /// A timer by its name in RM0090.
+    pub fn of(name: &str) -> Option<Self> {
+        let place = |list: &[parts::Timer]| list.iter().position(|timer| timer.instance == name);
+        place(&TIMERS).map(Self::General).or_else(|| place(&ADVANCED_TIMERS).map(Self::Advanced))
+    }
+}
+
 /// The whole microcontroller. A board puts its chips on the fields.
 #[derive(Debug)]
 pub struct Stm32f405 {
@@ -181,8 +202,9 @@ pub struct Stm32f405 {
     pub adc: [Adc; CONVERTERS.len()],
     adc_common: AdcCommon,
     /// TIM2 to TIM5.
-    pub tim: [Timer; TIMERS.len()],
-    advanced: [Tim<Advanced>; ADVANCED_TIMERS.len()],
+    pub tim: [Timer<General>; TIMERS.len()],
+    /// TIM1 and TIM8.
+    advanced: [Timer<Advanced>; ADVANCED_TIMERS.len()],
     dma: [Dma; CONTROLLERS.len()],
     rtc: Rtc,
     dbg: Dbg,
@@ -208,6 +230,7 @@ struct Slots {
     exti: usize,
     gpio: [usize; PORTS.len()],
     tim: [usize; TIMERS.len()],
+    advanced: [usize; ADVANCED_TIMERS.len()],
     dma: [usize; CONTROLLERS.len()],
     usart: [usize; SERIAL_PORTS.len()],
     spi: [usize; SERIAL_INTERFACES.len()],
@@ -330,6 +353,7 @@ impl Stm32f405 {
             exti: slot("EXTI")?,
             gpio: [0; _],
             tim: [0; _],
+            advanced: [0; _],
             dma: [0; _],
             usart: [0; _],
             spi: [0; _],
@@ -346,6 +370,9 @@ impl Stm32f405 {
         }
         for (n, timer) in TIMERS.iter().enumerate() {
             slots.tim[n] = slot(timer.instance)?;
+        }
+        for (n, timer) in ADVANCED_TIMERS.iter().enumerate() {
+            slots.advanced[n] = slot(timer.instance)?;
         }
         for (n, controller) in CONTROLLERS.iter().enumerate() {
             slots.dma[n] = slot(controller.instance)?;
@@ -366,11 +393,12 @@ impl Stm32f405 {
             adc_common,
             tim: std::array::from_fn(|n| Timer::new(Tim::with_clock(RESET_HZ, TIMERS[n].counter), RESET_HZ)),
             advanced: std::array::from_fn(|n| {
-                Tim::with_clock(RESET_HZ, ADVANCED_TIMERS[n].counter).breaks_on("RCC", rcc::CLOCK_FAILURE)
+                let timer = Tim::with_clock(RESET_HZ, ADVANCED_TIMERS[n].counter);
+                Timer::new(timer.breaks_on("RCC", rcc::CLOCK_FAILURE), RESET_HZ)
             }),
             dma: [
-                Dma::new(&DMA1_WIRING, &[], false),
-                Dma::new(CONTROLLERS[1].wiring, CONTROLLERS[1].last_data, true),
+                Dma::new(&DMA_WIRING[0], &[], false),
+                Dma::new(&DMA_WIRING[1], CONTROLLERS[1].last_data, true),
             ],
             rtc: Rtc,
             dbg: Dbg,
@@ -451,9 +479,26 @@ impl Stm32f405 {
         self.slots.gpio[n]
     }
 
-    /// Timer `n` of TIM2 to TIM5 and its registers.
-    pub fn timer(&self, n: usize) -> (&Timer, &RegisterFile) {
-        (&self.tim[n], self.bus.slots()[self.slots.tim[n]].registers())
+    /// The level that a timer puts on a pin of its channel (1 to 4), if it drives it.
+    pub fn timer_output(&self, timer: TimerPlace, channel: u8, complementary: bool) -> Option<Level> {
+        match timer {
+            TimerPlace::General(n) => {
+                let registers = self.bus.slots()[self.slots.tim[n]].registers();
+                self.tim[n].output(channel, complementary, registers)
+            }
+            TimerPlace::Advanced(n) => {
+                let registers = self.bus.slots()[self.slots.advanced[n]].registers();
+                self.advanced[n].output(channel, complementary, registers)
+            }
+        }
+    }
+
+    /// Whether a timer's outputs may have changed since this was last asked.
+    pub fn take_touched(&mut self, timer: TimerPlace) -> bool {
+        match timer {
+            TimerPlace::General(n) => self.tim[n].take_touched(),
+            TimerPlace::Advanced(n) => self.advanced[n].take_touched(),
+        }
     }
 
     /// Puts an address where nothing is into the memory address of a stream of DMA2, or takes it out.

@@ -1,4 +1,4 @@
-//! A general-purpose timer that sleeps while nothing of it can be seen.
+//! A timer that sleeps while nothing of it can be seen.
 //!
 //! The model is woken at every overflow and compare match. A DShot timer that is left running with compare values of
 //! zero overflows 300,000 to 600,000 times a second, and nothing comes of it: its outputs stay low, it raises no
@@ -7,17 +7,58 @@
 
 use rigless::device::{Device, DeviceContext, Level, RegisterFile, RequestChange};
 use rigless::soc::RegisterSpec;
-use rigless::soc::stm32f427::generated::tim2::{Register, ccmr1_output, cr1, dier};
-use rigless::soc::stm32f427::peripherals::tim::{Channel, General, Tim};
+use rigless::soc::stm32f427::generated::tim2::{ccmr1_output, cr1, dier};
+use rigless::soc::stm32f427::generated::{tim1, tim2};
+use rigless::soc::stm32f427::peripherals::tim::{Advanced, Channel, Family, General, Tim};
 use rigless::time::{EventId, VirtualNanos};
 
 /// Wake-ups in a row at which nothing was to be seen, after which nothing will be: preloaded values have been taken.
 const QUIET_EVENTS: u32 = 8;
 
+/// The registers of a family that are looked at. Their fields are at the same bits in both.
+pub trait Named: Family {
+    /// CR1.
+    const CONTROL: Self::Register;
+    /// DIER.
+    const ENABLES: Self::Register;
+    /// CCMR1 and CCMR2, of outputs.
+    const MODES: [Self::Register; 2];
+    /// CNT.
+    const COUNT: Self::Register;
+    /// PSC.
+    const PRESCALER: Self::Register;
+    /// ARR.
+    const PERIOD: Self::Register;
+    /// CCR1 to CCR4.
+    const COMPARES: [Self::Register; 4];
+}
+
+macro_rules! named {
+    ($family:ident, $layout:ident) => {
+        impl Named for $family {
+            const CONTROL: Self::Register = $layout::Register::Cr1;
+            const ENABLES: Self::Register = $layout::Register::Dier;
+            const MODES: [Self::Register; 2] =
+                [$layout::Register::Ccmr1Output, $layout::Register::Ccmr2Output];
+            const COUNT: Self::Register = $layout::Register::Cnt;
+            const PRESCALER: Self::Register = $layout::Register::Psc;
+            const PERIOD: Self::Register = $layout::Register::Arr;
+            const COMPARES: [Self::Register; 4] = [
+                $layout::Register::Ccr1,
+                $layout::Register::Ccr2,
+                $layout::Register::Ccr3,
+                $layout::Register::Ccr4,
+            ];
+        }
+    };
+}
+named!(General, tim2);
+named!(Advanced, tim1);
+
 /// The timer.
 #[derive(Debug)]
-pub struct Timer {
-    inner: Tim<General>,
+pub struct Timer<F: Family> {
+    inner: Tim<F>,
     clock_hz: u64,
     quiet_events: u32,
     /// Since when it sleeps, and at which count.
@@ -26,15 +67,20 @@ pub struct Timer {
     touched: bool,
 }
 
-impl Timer {
+impl<F: Named> Timer<F> {
     /// A timer that is looked at through `inner`, whose clock is at `clock_hz`.
-    pub fn new(inner: Tim<General>, clock_hz: u64) -> Self {
+    pub fn new(inner: Tim<F>, clock_hz: u64) -> Self {
         Self { inner, clock_hz, quiet_events: 0, asleep: None, touched: true }
     }
 
-    /// The level that the timer puts on the pin of its channel `n` (1 to 4), if it drives it.
-    pub fn output(&self, n: u8, registers: &RegisterFile) -> Option<Level> {
-        self.inner.output(Channel::new(n)?, registers)
+    /// The level that the timer puts on a pin of its channel `n` (1 to 4), if it drives it.
+    pub fn output(&self, n: u8, complementary: bool, registers: &RegisterFile) -> Option<Level> {
+        let channel = Channel::new(n)?;
+        if complementary {
+            self.inner.complementary_output(channel, registers)
+        } else {
+            self.inner.output(channel, registers)
+        }
     }
 
     /// Whether the outputs may have changed since this was last asked.
@@ -49,21 +95,22 @@ impl Timer {
             | dier::CC3IE.mask()
             | dier::CC4IE.mask()
             | dier::TIE.mask();
-        let compares = [Register::Ccr1, Register::Ccr2, Register::Ccr3, Register::Ccr4];
-        registers.get(Register::Dier) & interrupts == 0
+        registers.get(F::ENABLES) & interrupts == 0
             // PWM mode 1 or nothing: with a compare value of zero the output is low all the time.
-            && [Register::Ccmr1Output, Register::Ccmr2Output].iter().all(|&register| {
+            && F::MODES.iter().all(|&register| {
                 let value = registers.get(register);
                 [ccmr1_output::OC1M, ccmr1_output::OC2M].iter().all(|mode| matches!(mode.get(value), 0 | 6))
             })
-            && compares.into_iter().all(|compare| registers.get(compare) == 0)
-            && (1..=4).all(|n| self.output(n, registers) != Some(Level::High))
+            && F::COMPARES.into_iter().all(|compare| registers.get(compare) == 0)
+            && (1..=4).all(|n| {
+                [false, true].into_iter().all(|pin| self.output(n, pin, registers) != Some(Level::High))
+            })
     }
 }
 
-impl Timer {
+impl<F: Named> Timer<F> {
     fn sleep(&mut self, registers: &mut RegisterFile, context: &mut DeviceContext<'_>) {
-        let count = self.inner.read(Register::Cnt, registers, context).unwrap_or(0);
+        let count = self.inner.read(F::COUNT, registers, context).unwrap_or(0);
         self.asleep = Some((context.now(), count));
         self.inner.on_clock(0, registers, context);
     }
@@ -73,20 +120,20 @@ impl Timer {
         self.touched = true;
         let Some((since, count)) = self.asleep.take() else { return };
         self.inner.on_clock(self.clock_hz, registers, context);
-        let running = cr1::CEN.is_set(registers.get(Register::Cr1));
+        let running = cr1::CEN.is_set(registers.get(F::CONTROL));
         let cycles = u128::from(context.now().0 - since.0) * u128::from(self.clock_hz) / 1_000_000_000;
-        let counts = cycles / u128::from(registers.get(Register::Psc) + 1);
-        let period = u128::from(registers.get(Register::Arr) + 1);
+        let counts = cycles / u128::from(registers.get(F::PRESCALER) + 1);
+        let period = u128::from(registers.get(F::PERIOD) + 1);
         if running {
             let count = ((u128::from(count) + counts) % period) as u64;
-            registers.set(Register::Cnt, count);
-            self.inner.write(Register::Cnt, count, registers, context);
+            registers.set(F::COUNT, count);
+            self.inner.write(F::COUNT, count, registers, context);
         }
     }
 }
 
-impl Device for Timer {
-    type Register = Register;
+impl<F: Named> Device for Timer<F> {
+    type Register = F::Register;
 
     fn layout(&self) -> &'static [RegisterSpec] {
         self.inner.layout()
@@ -94,7 +141,7 @@ impl Device for Timer {
 
     fn read(
         &mut self,
-        register: Register,
+        register: F::Register,
         registers: &mut RegisterFile,
         context: &mut DeviceContext<'_>,
     ) -> Option<u64> {
@@ -104,7 +151,7 @@ impl Device for Timer {
 
     fn write(
         &mut self,
-        register: Register,
+        register: F::Register,
         value: u64,
         registers: &mut RegisterFile,
         context: &mut DeviceContext<'_>,

@@ -6,7 +6,6 @@ use emulator::faults::Fault;
 use emulator::firmware::Firmware;
 use emulator::pads::Line;
 use emulator::radio::Protocol;
-use emulator::timing::HANDLERS;
 use flight_core::ArmState;
 
 use super::{assert_healthy, firmware, fly, hover, scene, settings, story};
@@ -82,7 +81,7 @@ fn the_page_on_timing_has_this_images_figures() {
     let flown = fly(&scene("hover", None), &[]);
     assert_healthy(&flown);
     let timing = &flown.timing;
-    for (handler, runs) in HANDLERS.iter().zip(&timing.runs) {
+    for (handler, runs) in flown.wiring.handlers.iter().zip(&timing.runs) {
         let row = row(&format!("{} | {} | {} |", handler.vector, handler.task, handler.priority));
         near(handler.vector, number(row[4]), runs.count() as f64, 0.01, 1.0);
         near(handler.vector, number(row[5]), runs.mean(), 0.03, 0.5);
@@ -106,15 +105,16 @@ fn the_page_on_timing_has_this_images_figures() {
 fn the_interrupt_controller_has_the_priorities_of_the_table() {
     // On the ground, before the pilot arms.
     let flown = fly(&hover(""), &[(2.0, Fault::AllInterrupts)]);
+    let handlers = flown.wiring.handlers;
     let pairs = |n: usize| {
         let by =
             flown.timing.interrupted.iter().filter(move |(below, _)| *below == n).map(|(_, on_top)| *on_top);
         // One that follows itself has ended by a way out that is not watched.
-        by.filter(|on_top| *on_top != n && HANDLERS[*on_top].exception >= 16).collect::<Vec<_>>()
+        by.filter(|on_top| *on_top != n && handlers[*on_top].exception >= 16).collect::<Vec<_>>()
     };
-    for (n, below) in HANDLERS.iter().enumerate() {
-        let above = (0..HANDLERS.len()).filter(|m| HANDLERS[*m].priority > below.priority);
-        let expected: Vec<usize> = above.filter(|m| HANDLERS[*m].exception >= 16).collect();
+    for (n, below) in handlers.iter().enumerate() {
+        let above = (0..handlers.len()).filter(|m| handlers[*m].priority > below.priority);
+        let expected: Vec<usize> = above.filter(|m| handlers[*m].exception >= 16).collect();
         assert_eq!(pairs(n), expected, "{} is interrupted by", below.vector);
     }
 }
@@ -192,6 +192,7 @@ fn what_is_no_flight_image_is_refused() {
     let name = b"speedybee-f405-v4\0";
     let at = elf.windows(name.len()).position(|window| window == name).unwrap();
     let mut bench = elf.to_vec();
-    bench[at..at + 5].copy_from_slice(b"bench");
+    let end = at + name.len() - 1;
+    bench[end - 7..end].copy_from_slice(b", bench");
     assert!(refusal(bench).contains("must be the flight image"));
 }

@@ -32,7 +32,10 @@ fn scenes_that_the_board_does_not_fly_are_refused() {
     refuses(&["no-such-scene"], &["no-such-scene"]);
     refuses(&["static", "--image", &image], &["static: pilot: is missing", "sim-host scenes"]);
     refuses(&["hover", "--duration", "-1", "--image", &image], &["--duration = -1: "]);
-    refuses(&["hover", "--board", "matek"], &["--board = matek: must be one of: speedybee-f405-v4"]);
+    refuses(
+        &["hover", "--board", "matek"],
+        &["--board = matek: must be one of speedybee-f405-v4, speedybee-f405-mini, matek-f405-te"],
+    );
 
     let folder = tempfile::tempdir().unwrap();
     let scene = folder.path().join("other.toml");

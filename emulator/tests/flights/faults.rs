@@ -8,12 +8,11 @@ use flight_core::ArmState::{self, Descent, Disarmed, Terminated};
 use flight_core::arming::Cause;
 
 use emulator::board::INSTRUCTIONS_PER_SECOND;
-use emulator::timing::HANDLERS;
 
 use super::{after_arming, assert_sound, fly, fly_twice, hover, story};
 
 /// In the middle of the hover.
-const AT_S: f64 = 9.0;
+pub const AT_S: f64 = 9.0;
 
 /// The only event after arming, if it comes within `limit_s` of the fault.
 #[track_caller]
@@ -27,7 +26,7 @@ fn ends_in(flown: &Flown, limit_s: f64, state: ArmState, cause: Cause) {
 
 /// Every ESC has got a stop within `limit_s` after the fault, and nothing but stops since.
 #[track_caller]
-fn pads_stop(flown: &Flown, limit_s: f64) {
+pub fn pads_stop(flown: &Flown, limit_s: f64) {
     for esc in &flown.escs {
         let last_s = esc.last_driven_ns.expect("it flew") as f64 * 1e-9;
         assert!(last_s <= AT_S + limit_s, "driven until {last_s} s: {}", story(flown));
@@ -142,7 +141,7 @@ fn a_magnetometer_that_comes_and_goes_is_found_again() {
 #[test]
 fn a_held_bus_takes_no_more_than_the_time_of_a_run() {
     let flown = fly(&hover(""), &[(AT_S, Fault::CompassBusHeld(true))]);
-    let compass = HANDLERS.iter().position(|handler| handler.vector == "CRYP").unwrap();
+    let compass = flown.wiring.handlers.iter().position(|handler| handler.vector == "CRYP").unwrap();
     let most_ms = flown.timing.runs[compass].most as f64 / INSTRUCTIONS_PER_SECOND as f64 * 1e3;
     assert!((3.0..4.3).contains(&most_ms), "{most_ms} ms: {}", story(&flown));
 }
@@ -180,7 +179,38 @@ fn bursts_that_fail_are_flown_through() {
             flown.records.iter().filter(|record| record.imu.is_none() && record.time_us > 6_000_000).count();
         // The fault, and the sensor's set-up after it, which takes 57 ms.
         assert!((20..=90).contains(&lost), "stream {stream}: {lost} lost: {story}");
+        // An error is told at once, and not found when the next sample comes.
+        assert_eq!(counted(&flown, "late"), 0, "stream {stream}: {story}");
     }
+}
+
+/// One burst fails, of either stream: the next one brings its sample.
+#[test]
+fn one_burst_that_fails_costs_one_sample() {
+    for stream in [0, 3] {
+        let faults =
+            [(AT_S, Fault::StreamAstray(stream, true)), (AT_S + 0.0011, Fault::StreamAstray(stream, false))];
+        let flown = fly(&hover(""), &faults);
+        let lost = flown.records.iter().filter(|record| record.imu.is_none() && record.time_us > 6_000_000);
+        let lost = lost.count();
+        assert!((1..=2).contains(&lost), "stream {stream}: {lost} lost: {}", story(&flown));
+        assert!(flown.gaps.iter().all(|gap| gap.contains("at 0x6")), "stream {stream}: {:?}", flown.gaps);
+        assert_eq!(flown.outcome.final_state, Disarmed, "{}", story(&flown));
+    }
+}
+
+/// The sum of a count over the log's health lines.
+fn counted(flown: &Flown, what: &str) -> u32 {
+    let lines = flown.log.iter().filter(|line| line.contains("imu lost"));
+    let counts = lines.map(|line| {
+        let mut words = line.split([' ', ',']);
+        words.find(|word| *word == what);
+        words
+            .next()
+            .and_then(|count| count.parse::<u32>().ok())
+            .unwrap_or_else(|| panic!("no {what} in {line}"))
+    });
+    counts.sum()
 }
 
 // The supply.

@@ -4,6 +4,7 @@
 //! another image to be tried, as the mutants are (`emulator/mutants`).
 
 mod board;
+mod boards;
 mod command_line;
 mod faults;
 mod protocols;
@@ -11,9 +12,10 @@ mod scenes;
 mod vehicles;
 
 use std::path::PathBuf;
-use std::sync::OnceLock;
+use std::sync::{Arc, OnceLock};
 
-use emulator::board::SPEEDYBEE_F405_V4;
+use ::board::Board;
+use emulator::board::Wiring;
 use emulator::faults::Fault;
 use emulator::firmware::Firmware;
 use emulator::flight::{self, Flown, Settings};
@@ -27,7 +29,7 @@ fn firmware() -> &'static Firmware {
     static BUILT: OnceLock<Firmware> = OnceLock::new();
     BUILT.get_or_init(|| match std::env::var_os("KESTREL_IMAGE") {
         Some(path) => Firmware::read(&PathBuf::from(path)).unwrap(),
-        None => Firmware::build().unwrap(),
+        None => Firmware::build(&[]).unwrap(),
     })
 }
 
@@ -47,12 +49,17 @@ fn hover(tables: &str) -> Scene {
     scene
 }
 
+/// The default board in the scene's vehicle.
+fn wiring(scene: &Scene) -> Arc<Wiring> {
+    Arc::new(Wiring::new(Board::load(::board::DEFAULT).unwrap(), &scene.design))
+}
+
 fn settings<'a>(firmware: &'a Firmware, scene: &Scene, faults: &[(f64, Fault)]) -> Settings<'a> {
     Settings {
         firmware,
-        wiring: &SPEEDYBEE_F405_V4,
+        wiring: wiring(scene),
         radio: Protocol::Crsf,
-        config: Some(scene.config),
+        config: Some(scene.board_config()),
         print_log: false,
         after_crash_s: 3.0,
         faults: faults.to_vec(),

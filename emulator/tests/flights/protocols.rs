@@ -1,6 +1,5 @@
 //! Each ESC protocol, by edges at the pads.
 
-use emulator::board::SPEEDYBEE_F405_V4;
 use emulator::firmware::Firmware;
 use emulator::flight::Flown;
 use emulator::pads::Protocol;
@@ -13,7 +12,7 @@ fn flies_with(name: &str, protocol: Protocol, rate_hz: f64) {
     let firmware = match std::env::var_os("KESTREL_IMAGE") {
         // A mutant's, of this protocol.
         Some(path) => Firmware::read(std::path::Path::new(&path)).unwrap(),
-        None => Firmware::build_with_esc(Some(name)).unwrap(),
+        None => Firmware::build(&[("KESTREL_ESC", name)]).unwrap(),
     };
     let scene = hover("");
     let flown = emulator::flight::fly(&scene, scene.seed, settings(&firmware, &scene, &[]), None).unwrap().0;
@@ -29,7 +28,7 @@ fn flies_with(name: &str, protocol: Protocol, rate_hz: f64) {
 
 /// Whatever arrives at a pad is what the flight controller had given for that rotor shortly before: nothing in between
 /// two commands, and nothing of another rotor.
-fn every_command_is_one_that_was_given(flown: &Flown, protocol: Protocol) {
+pub fn every_command_is_one_that_was_given(flown: &Flown, protocol: Protocol) {
     // Counts are 1/21 µs for PWM and 8/84 µs for OneShot125, and edges come at whole ns; DShot has steps of 0.5 µs, and the
     // two scales begin half a step apart.
     let tolerance_us = match protocol {
@@ -37,7 +36,7 @@ fn every_command_is_one_that_was_given(flown: &Flown, protocol: Protocol) {
         Protocol::OneShot125 => 0.15,
         _ => 0.8,
     };
-    for (esc, pad) in flown.escs.iter().zip(&SPEEDYBEE_F405_V4.pads) {
+    for (esc, pad) in flown.escs.iter().zip(&flown.wiring.pads) {
         let mut strange = 0;
         for command in &esc.commands {
             // A pulse of PWM ends up to 5 ms after its command; the firmware's clock starts some ms after the supply.

@@ -1,6 +1,5 @@
 //! Every scene that flies, beside the same scene in process.
 
-use emulator::board::SPEEDYBEE_F405_V4;
 use emulator::replay;
 use sim_host::flight::{Flight, Outcome};
 
@@ -38,7 +37,7 @@ fn compare(name: &str) {
     assert!(there.tilt_error_max_deg <= 1.5 * here.tilt_error_max_deg + 0.5, "{name}: tilt error");
     assert!(within(there.position_error_max_m, here.position_error_max_m, 0.1, 0.2), "{name}: distance");
 
-    let config = replay::on_board(&scene.config, &SPEEDYBEE_F405_V4);
+    let config = replay::on_board(&scene.config, &flown.wiring);
     match replay::replay(&flown.records, &config) {
         Ok(steps) => assert!(steps as u64 + 100 > there.control_steps, "{name}: only {steps} steps recorded"),
         Err(difference) => panic!("{name}: {difference:?}"),

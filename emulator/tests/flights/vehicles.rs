@@ -10,10 +10,10 @@ use super::{assert_healthy, settings};
 /// One file: the image holds what the flight controller needs of it, and the simulator flies it.
 #[test]
 fn an_image_for_five_inches_flies_them() {
-    let firmware = Firmware::build_with_vehicle("vehicles/five-inch.toml").unwrap();
+    let firmware = Firmware::build(&[("KESTREL_VEHICLE", "vehicles/five-inch.toml")]).unwrap();
     let told = firmware.vehicle().unwrap();
     let vehicle = Vehicle::load("five-inch").unwrap();
-    assert_eq!(told.params, vehicle.flight_params(&Params::default()));
+    assert_eq!(told.params, vehicle.mounted(vehicle.flight_params(&Params::default())));
     assert_eq!(told.calibration, None);
 
     let mut scene = Scene::load_with_vehicle("hover", Some("five-inch")).unwrap();

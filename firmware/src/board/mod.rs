@@ -3,11 +3,10 @@
 //! | item | what it is |
 //! |---|---|
 //! | `init(core, device) -> Board` | brings the board up, outputs first and at the stop pulse |
-//! | `Sampler` | [`crate::sampling::Sampler`] on the board's bus |
+//! | `Sampler` | [`tasks::sampling::Sampler`] on the board's bus |
 //! | `Imu::run()` | a step of the inertial sensor's set-up, without waiting |
 //! | `Outputs::drive(permit, pulses_us)` | sends pulses of rotors 1 to 4; takes the permit by value |
 //! | `Outputs::stop()` | sends the stop pulse to all four |
-//! | `Ear::hear()` | takes a byte from the receiver |
 //! | `Radio::poll() -> Option<RcFrame>` | the next frame that the bytes so far have completed |
 //! | `Supply::measure() -> Option<Battery>` | the battery, without waiting |
 //! | `Compass::run() -> Option<MagSample>` | the magnetometer's new sample; may wait, for less than 5 ms |
@@ -30,16 +29,16 @@
 //!
 //! | vector | acknowledged by |
 //! |---|---|
-//! | DMA2_STREAM0 (`flight`) | [`BurstBus::acknowledge`](crate::sampling::BurstBus::acknowledge), first in `Sampler::take` |
-//! | EXTI4 | the line's bit in EXTI_PR, written first |
+//! | DMA2_STREAM0 (`flight`) | [`BurstBus::acknowledge`](tasks::sampling::BurstBus::acknowledge), first in `Sampler::take` |
+//! | the data-ready line's | the line's bit in EXTI_PR, written first |
 //! | TIM5 | CC1IF, read and cleared first; it is the only one of TIM5's interrupts that is on |
-//! | USART2 (`receive`) | `Ear::hear` reads SR and then DR, which clears RXNE and ORE, the two that raise it |
+//! | the receiver's port's | `port::take_byte` reads SR and then DR, which clears RXNE and ORE, the two that raise it |
 //! | PVD, NMI | nothing: they stop the motors, and do not come back |
 //! | SysTick (`tick`) | the processor, when it enters the handler |
 //! | CRYP, DCMI, HASH_RNG (dispatchers) | the same: software alone pends them. The F405 has neither of the first two, and its random number generator is off |
 //!
-//! A board's own interrupt handlers note what happened and when, and call [`crate::sampling`]. They have a higher
-//! priority than any other but `receive` ([`SENSE_PRIORITY`]), so that a time is not late because a task runs.
+//! A board's own interrupt handlers note what happened and when, and ask [`tasks::sampling`] what to do. They have a higher
+//! priority than any task ([`SENSE_PRIORITY`]), so that a time is not late because a task runs.
 
 use cortex_m::peripheral::NVIC;
 use flight_core::arming::Event;
@@ -47,20 +46,20 @@ use flight_core::geometry::Quaternion;
 use flight_core::{ArmState, Config};
 use stm32f4xx_hal::pac::{Interrupt, NVIC_PRIO_BITS};
 
-#[cfg(feature = "speedybee-f405-v4")]
-mod speedybee_f405_v4;
 #[cfg(feature = "unwired")]
 mod unwired;
+#[cfg(feature = "wired")]
+mod wired;
 
-#[cfg(feature = "speedybee-f405-v4")]
-pub use speedybee_f405_v4::*;
 #[cfg(feature = "unwired")]
 pub use unwired::*;
+#[cfg(feature = "wired")]
+pub use wired::*;
 
-#[cfg(all(feature = "unwired", feature = "speedybee-f405-v4"))]
+#[cfg(all(feature = "unwired", feature = "wired"))]
 compile_error!("one board at a time: build the others with --no-default-features --features qemu (or hil)");
-#[cfg(not(any(feature = "unwired", feature = "speedybee-f405-v4")))]
-compile_error!("choose a board: speedybee-f405-v4, qemu or hil");
+#[cfg(not(any(feature = "unwired", feature = "wired")))]
+compile_error!("choose a board: wired, qemu or hil");
 
 /// The vector that the flight task is bound to.
 pub const WAKE_FLIGHT: Interrupt = Interrupt::DMA2_STREAM0;
@@ -68,12 +67,6 @@ pub const WAKE_FLIGHT: Interrupt = Interrupt::DMA2_STREAM0;
 /// RTIC priority (larger is more urgent) of the interrupts that take times. Tasks have this one or a lower one.
 #[cfg(not(feature = "hil"))]
 pub const SENSE_PRIORITY: u8 = 6;
-
-/// Time from one inertial sample to the next, µs: the rate of [`flight_core::Params::default`].
-pub const PERIOD_US: u32 = 1_000;
-
-/// How long after a sample the next one counts as overdue, µs; after that, one step in each period.
-pub const OVERDUE_US: u32 = PERIOD_US + PERIOD_US / 2;
 
 /// The board's parts, each of which one task owns.
 pub struct Board {
@@ -87,8 +80,6 @@ pub struct Board {
     pub outputs: Outputs,
     /// What the board shows of a step.
     pub monitor: Monitor,
-    /// The receiver's bytes.
-    pub ear: Ear,
     /// The receiver's frames.
     pub radio: Radio,
     /// The battery.

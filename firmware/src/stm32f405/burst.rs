@@ -1,59 +1,58 @@
-//! Bursts of the inertial sensor: SPI1, received by DMA2 stream 0 channel 3, sent by stream 3 channel 3.
+//! Bursts of the inertial sensor: an SPI, received by one stream of DMA and sent by another.
 //!
 //! ```text
-//!  PA4 low │ stream 3 feeds 16 bytes, stream 0 takes 16 bytes: 12.2 µs at 10.5 MHz │ DMA2_STREAM0 │ PA4 high
+//!  select low │ a stream feeds 16 bytes, one takes 16 bytes: 12.2 µs at 10.5 MHz │ its vector │ select high
 //! ```
-//! The end of reception is the end of the burst. Stream 0 raises DMA2_STREAM0 then, and after an error of its
+//! The end of reception is the end of the burst. The receiving stream raises its vector then, and after an error of its
 //! own; an error of the other stream shows as a burst that does not end.
 //!
-//! DMA2_STREAM0 is a level: it stays up as long as a flag of stream 0 is set whose interrupt is on, and only a
-//! write to LIFCR takes a flag down. [`BurstBus::acknowledge`] is that write.
+//! The vector is a level: it stays up as long as a flag of that stream is set whose interrupt is on, and only a write to
+//! LIFCR or HIFCR takes a flag down. [`BurstBus::acknowledge`] is that write.
 //!
 //! For its set-up the sensor has the same bus byte by byte ([`ImuSpi`]), with the requests for DMA off. Who may use
-//! it when is in [`crate::sampling`].
+//! it when is in [`tasks::sampling`].
 //!
 //! # Why not `dma::Transfer`
 //! What `stm32f4xx-hal` 0.23 has for this was tried out: a `Transfer` for each stream, started again by
 //! `next_transfer_with`. The data-ready interrupt then takes 75 instructions for each burst instead of 49, and is 84
 //! instructions longer; it has two panics (the option in which the buffer is kept), and a wait without a limit
-//! (`stream_disable`), none of which the fast loop may have. Its check of streams and channel at compile time is
-//! kept.
+//! (`stream_disable`), none of which the fast loop may have. Its check of streams and channels at compile time is
+//! kept: the board's wiring has one.
 
+use core::marker::PhantomData;
 use core::sync::atomic::AtomicU8;
 
 use embedded_hal::delay::DelayNs;
 use embedded_hal::spi::{ErrorKind, ErrorType, Operation, SpiDevice};
 
 use drivers::icm42688p::{BURST, FRAME_LEN, Frame};
-use stm32f4xx_hal::dma::traits::{DMASet, Stream};
-use stm32f4xx_hal::dma::{MemoryToPeripheral, PeripheralToMemory, Stream0, Stream3};
-use stm32f4xx_hal::gpio::{Output, PA4};
 use stm32f4xx_hal::pac::dma2::st::cr;
-use stm32f4xx_hal::pac::{DMA2, GPIOA, SPI1, dma2, gpioa, spi1};
-use stm32f4xx_hal::rcc::{Enable, Rcc};
-use stm32f4xx_hal::spi::Spi;
+use stm32f4xx_hal::pac::spi1;
+use tasks::sampling::{BurstBus, FrameBuffer, Signal};
 
+use super::dma::Stream;
+use super::pin::Pin;
 use crate::board;
-use crate::sampling::{BurstBus, FrameBuffer, Signal};
 
-/// The streams. The flags of [`ImuBus::acknowledge`] and [`clear_flags`] are those of these two numbers.
-type Rx = Stream0<DMA2>;
-type Tx = Stream3<DMA2>;
-const CHANNEL: u8 = 3;
-
-/// Compiles only if the chip connects this peripheral to this stream and channel.
-const fn connected<PERIPHERAL, STREAM, const CHANNEL: u8, DIRECTION>()
-where
-    PERIPHERAL: DMASet<STREAM, CHANNEL, DIRECTION>,
-{
+/// How the sensor is connected.
+#[derive(Clone, Copy)]
+pub struct Wiring {
+    /// Its SPI.
+    pub spi: *const spi1::RegisterBlock,
+    /// DMA of what comes.
+    pub receive: Stream,
+    /// DMA of what is sent.
+    pub send: Stream,
+    /// Its chip select.
+    pub select: Pin,
 }
-const _: () = {
-    connected::<SPI1, Rx, CHANNEL, PeripheralToMemory>();
-    connected::<SPI1, Tx, CHANNEL, MemoryToPeripheral>();
-};
 
-/// Looks at a stream that was told to stop: it finishes its byte first, a microsecond.
-const STOP_LOOKS: u32 = 200;
+/// A board's wiring as a type: so that all of it is constant where it is used.
+pub trait Wired {
+    /// It.
+    const IMU: Wiring;
+}
+
 /// Looks for a byte that is on its way, which takes 0.8 µs; a look takes some 10 cycles, so that this is 60 µs.
 const BYTE_LOOKS: u32 = 1_000;
 
@@ -69,67 +68,66 @@ static SENT: [AtomicU8; FRAME_LEN] = {
 };
 static RECEIVED: FrameBuffer = FrameBuffer::new();
 
-fn dma() -> &'static dma2::RegisterBlock {
-    // SAFETY: only this module uses DMA2.
-    unsafe { &*DMA2::ptr() }
-}
+impl Wiring {
+    fn spi(&self) -> &'static spi1::RegisterBlock {
+        // SAFETY: of the two that use it, `ImuBus` and `ImuSpi`, one has the bus at a time (`tasks::sampling`).
+        unsafe { &*self.spi }
+    }
 
-fn spi() -> &'static spi1::RegisterBlock {
-    // SAFETY: of the two that use it, `ImuBus` and `ImuSpi`, one has the bus at a time (`crate::sampling`).
-    unsafe { &*SPI1::ptr() }
-}
+    /// The sensor listens, or does not.
+    fn select(&self, selected: bool) {
+        if selected {
+            self.select.set_low();
+        } else {
+            self.select.set_high();
+        }
+    }
 
-/// The sensor's chip select; the register's bits are independent of each other.
-fn select(selected: bool) {
-    // SAFETY: a write to this register changes no other pin.
-    let gpioa: &gpioa::RegisterBlock = unsafe { &*GPIOA::ptr() };
-    if selected {
-        gpioa.bsrr().write(|w| w.br4().set_bit());
-    } else {
-        gpioa.bsrr().write(|w| w.bs4().set_bit());
+    /// Starts a burst. For the data-ready interrupt, when no burst runs.
+    pub fn start(&self) {
+        self.select(true);
+        // Those of the last burst.
+        self.receive.clear_all();
+        self.send.clear_all();
+        let (receive, send) = (self.receive.registers(), self.send.registers());
+        receive.ndtr().write(|w| w.ndt().set(FRAME_LEN as u16));
+        send.ndtr().write(|w| w.ndt().set(FRAME_LEN as u16));
+        receive
+            .cr()
+            .write(|w| both(w, self.receive).dir().peripheral_to_memory().tcie().enabled().teie().enabled());
+        send.cr().write(|w| both(w, self.send).dir().memory_to_peripheral());
+    }
+
+    /// Whether a burst runs.
+    pub fn running(&self) -> bool {
+        self.receive.runs()
+    }
+
+    /// What is still in the SPI's registers goes: data and status read in this order take an overrun away too.
+    fn drain(&self) {
+        self.spi().dr().read();
+        self.spi().sr().read();
+    }
+
+    /// A byte out, a byte in.
+    fn exchange(&self, byte: u8) -> Result<u8, Hangs> {
+        self.spi().dr().write(|w| w.dr().set(byte.into()));
+        for _ in 0..BYTE_LOOKS {
+            if self.spi().sr().read().rxne().bit_is_set() {
+                return Ok(self.spi().dr().read().bits() as u8);
+            }
+        }
+        Err(Hangs)
     }
 }
 
-/// Takes down the flags of both streams: those of the last burst, and those that a stopped stream sets.
-fn clear_flags() {
-    dma().lifcr().write(|w| {
-        w.ctcif0().clear().chtif0().clear().cteif0().clear().cdmeif0().clear().cfeif0().clear();
-        w.ctcif3().clear().chtif3().clear().cteif3().clear().cdmeif3().clear().cfeif3().clear()
-    });
-}
-
-/// What both streams have: bytes, from or to a buffer, before anything else on DMA2; on.
-fn both(w: &mut cr::W) -> &mut cr::W {
-    w.chsel().set(CHANNEL).pl().very_high().minc().incremented().en().enabled()
-}
-
-/// Starts a burst. For the data-ready interrupt, when no burst runs.
-pub fn start() {
-    select(true);
-    let (rx, tx) = (dma().st(Rx::NUMBER), dma().st(Tx::NUMBER));
-    clear_flags();
-    rx.ndtr().write(|w| w.ndt().set(FRAME_LEN as u16));
-    tx.ndtr().write(|w| w.ndt().set(FRAME_LEN as u16));
-    rx.cr().write(|w| both(w).dir().peripheral_to_memory().tcie().enabled().teie().enabled());
-    tx.cr().write(|w| both(w).dir().memory_to_peripheral());
-}
-
-/// Whether a burst runs.
-pub fn running() -> bool {
-    dma().st(Rx::NUMBER).cr().read().en().bit_is_set()
-}
-
-/// What is still in the SPI's registers goes: data and status read in this order take an overrun away too.
-fn drain() {
-    spi().dr().read();
-    spi().sr().read();
+/// What both streams have: bytes, from or to a buffer, before anything else on their controller; on.
+fn both(w: &mut cr::W, stream: Stream) -> &mut cr::W {
+    w.chsel().set(stream.channel()).pl().very_high().minc().incremented().en().enabled()
 }
 
 /// The bus, byte by byte, for the sensor's set-up.
-pub struct ImuSpi {
-    _spi: Spi<SPI1>,
-    _select: PA4<Output>,
-}
+pub struct ImuSpi<W>(PhantomData<W>);
 
 /// A byte did not come: the peripheral has no clock.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -141,52 +139,42 @@ impl embedded_hal::spi::Error for Hangs {
     }
 }
 
-impl ImuSpi {
-    /// Takes the peripheral, which has been set up, and the sensor's chip select, which is high.
-    pub fn new(spi: Spi<SPI1>, select: PA4<Output>) -> Self {
-        Self { _spi: spi, _select: select }
+impl<W: Wired> ImuSpi<W> {
+    /// The SPI has been set up, and the chip select is high.
+    pub const fn new() -> Self {
+        Self(PhantomData)
     }
 
     /// Begins to use the bus.
     pub fn claim(&mut self) {
-        spi().cr2().modify(|_, w| w.rxdmaen().clear_bit().txdmaen().clear_bit());
+        W::IMU.spi().cr2().modify(|_, w| w.rxdmaen().clear_bit().txdmaen().clear_bit());
     }
 
     /// Leaves it to bursts.
     pub fn hand_over(&mut self) {
-        drain();
-        spi().cr2().modify(|_, w| w.rxdmaen().set_bit().txdmaen().set_bit());
+        W::IMU.drain();
+        W::IMU.spi().cr2().modify(|_, w| w.rxdmaen().set_bit().txdmaen().set_bit());
     }
 }
 
-/// A byte out, a byte in.
-fn exchange(byte: u8) -> Result<u8, Hangs> {
-    spi().dr().write(|w| w.dr().set(byte.into()));
-    for _ in 0..BYTE_LOOKS {
-        if spi().sr().read().rxne().bit_is_set() {
-            return Ok(spi().dr().read().bits() as u8);
-        }
-    }
-    Err(Hangs)
-}
-
-impl ErrorType for ImuSpi {
+impl<W> ErrorType for ImuSpi<W> {
     type Error = Hangs;
 }
 
-impl SpiDevice for ImuSpi {
+impl<W: Wired> SpiDevice for ImuSpi<W> {
     fn transaction(&mut self, operations: &mut [Operation<'_, u8>]) -> Result<(), Hangs> {
-        drain();
-        select(true);
+        let wiring = W::IMU;
+        wiring.drain();
+        wiring.select(true);
         let result = operations.iter_mut().try_for_each(|operation| match operation {
             Operation::Read(received) => received.iter_mut().try_for_each(|byte| {
-                *byte = exchange(0)?;
+                *byte = wiring.exchange(0)?;
                 Ok(())
             }),
-            Operation::Write(sent) => sent.iter().try_for_each(|byte| exchange(*byte).map(drop)),
+            Operation::Write(sent) => sent.iter().try_for_each(|byte| wiring.exchange(*byte).map(drop)),
             Operation::Transfer(received, sent) => {
                 for n in 0..received.len().max(sent.len()) {
-                    let answer = exchange(sent.get(n).copied().unwrap_or(0))?;
+                    let answer = wiring.exchange(sent.get(n).copied().unwrap_or(0))?;
                     if let Some(byte) = received.get_mut(n) {
                         *byte = answer;
                     }
@@ -194,7 +182,7 @@ impl SpiDevice for ImuSpi {
                 Ok(())
             }
             Operation::TransferInPlace(bytes) => bytes.iter_mut().try_for_each(|byte| {
-                *byte = exchange(*byte)?;
+                *byte = wiring.exchange(*byte)?;
                 Ok(())
             }),
             Operation::DelayNs(ns) => {
@@ -202,48 +190,42 @@ impl SpiDevice for ImuSpi {
                 Ok(())
             }
         });
-        select(false);
+        wiring.select(false);
         result
     }
 }
 
 /// The bus for bursts.
-pub struct ImuBus {
-    _dma: DMA2,
-}
+pub struct ImuBus<W>(PhantomData<W>);
 
-impl ImuBus {
-    /// Prepares the streams.
-    pub fn new(dma2: DMA2, rcc: &mut Rcc) -> Self {
-        DMA2::enable(rcc);
-        let (rx, tx) = (dma2.st(Rx::NUMBER), dma2.st(Tx::NUMBER));
-        let data = spi().dr().as_ptr() as u32;
+impl<W: Wired> ImuBus<W> {
+    /// Prepares the streams, whose controller's clock runs.
+    pub fn new() -> Self {
+        let wiring = W::IMU;
+        let (receive, send) = (wiring.receive.registers(), wiring.send.registers());
+        let data = wiring.spi().dr().as_ptr() as u32;
         // SAFETY: a register, and two statics.
         unsafe {
-            rx.par().write(|w| w.pa().bits(data));
-            tx.par().write(|w| w.pa().bits(data));
-            rx.m0ar().write(|w| w.m0a().bits(RECEIVED.address()));
-            tx.m0ar().write(|w| w.m0a().bits(SENT.as_ptr() as u32));
+            receive.par().write(|w| w.pa().bits(data));
+            send.par().write(|w| w.pa().bits(data));
+            receive.m0ar().write(|w| w.m0a().bits(RECEIVED.address()));
+            send.m0ar().write(|w| w.m0a().bits(SENT.as_ptr() as u32));
         }
-        Self { _dma: dma2 }
+        Self(PhantomData)
     }
 }
 
-impl BurstBus for ImuBus {
+impl<W: Wired> BurstBus for ImuBus<W> {
     const SETS_UP: bool = true;
 
     #[inline]
     fn acknowledge(&mut self) -> Signal {
-        let flags = dma().lisr().read();
+        let flags = W::IMU.receive.flags();
         // A flag that rises after the read stays, and raises the interrupt again.
-        dma().lifcr().write(|w| {
-            w.ctcif0().bit(flags.tcif0().is_complete()).chtif0().bit(flags.htif0().is_half());
-            w.cteif0().bit(flags.teif0().is_error()).cdmeif0().bit(flags.dmeif0().is_error());
-            w.cfeif0().bit(flags.feif0().is_error())
-        });
-        if flags.teif0().is_error() {
+        W::IMU.receive.clear(flags);
+        if flags.is_error() {
             Signal::Failed
-        } else if flags.tcif0().is_complete() {
+        } else if flags.is_complete() {
             Signal::Done
         } else {
             Signal::Nothing
@@ -252,26 +234,22 @@ impl BurstBus for ImuBus {
 
     #[inline]
     fn finish(&mut self) -> Frame {
-        select(false);
+        W::IMU.select(false);
         RECEIVED.read()
     }
 
     #[cold]
     fn abort(&mut self) {
-        for stream in [Rx::NUMBER, Tx::NUMBER] {
-            let stream = dma().st(stream);
-            stream.cr().modify(|_, w| w.en().clear_bit());
-            for _ in 0..STOP_LOOKS {
-                if stream.cr().read().en().bit_is_clear() {
-                    break;
-                }
+        let wiring = W::IMU;
+        wiring.send.stop();
+        // What has been handed to the SPI still goes out, and what comes in for it would be the next burst's first byte.
+        for _ in 0..BYTE_LOOKS {
+            if wiring.spi().sr().read().bsy().bit_is_clear() {
+                break;
             }
         }
-        select(false);
-        spi().cr1().modify(|_, w| w.spe().clear_bit());
-        drain();
-        spi().cr1().modify(|_, w| w.spe().set_bit());
-        // A stream that is stopped says that it is done.
-        clear_flags();
+        wiring.receive.stop();
+        wiring.select(false);
+        wiring.drain();
     }
 }

@@ -1,4 +1,4 @@
-//! I2C1 for sensors that may not be there, on wires that may be short or open.
+//! An I2C for sensors that may not be there, on wires that may be short or open.
 //!
 //! `stm32f4xx-hal` 0.23 waits for start, stop and address without a limit (`i2c.rs`, `prepare_write` and
 //! `prepare_read`): a line that is held low would keep its caller for ever. Here every wait ends when the time of
@@ -8,15 +8,32 @@
 //! has to come within a byte's time, so that interrupts may come between any two. A single byte is the exception,
 //! and takes a few instructions with interrupts off.
 
+use core::marker::PhantomData;
 use core::sync::atomic::{AtomicU32, Ordering};
 
 use embedded_hal::delay::DelayNs;
 use embedded_hal::i2c::{self, ErrorKind, ErrorType, I2c, NoAcknowledgeSource, Operation};
-use stm32f4xx_hal::gpio::{PB8, PB9};
-use stm32f4xx_hal::pac::{GPIOB, I2C1, i2c1};
-use stm32f4xx_hal::rcc::{Enable, Rcc};
+use stm32f4xx_hal::pac::i2c1;
 
+use super::pin::Pin;
 use crate::board;
+
+/// How the sensors are connected.
+#[derive(Clone, Copy)]
+pub struct Wiring {
+    /// Their I2C.
+    pub i2c: *const i2c1::RegisterBlock,
+    /// Its clock.
+    pub scl: Pin,
+    /// Its data.
+    pub sda: Pin,
+}
+
+/// A board's wiring as a type: so that all of it is constant where it is used.
+pub trait Wired {
+    /// It.
+    const COMPASS: Wiring;
+}
 
 /// Time that a run has on the bus, its delays included, µs.
 const RUN_US: u32 = 4_000;
@@ -57,23 +74,22 @@ impl i2c::Error for BusError {
 }
 
 /// The bus. Its copies are one bus: the task that has them uses one at a time.
-#[derive(Clone)]
-pub struct Bus {
+pub struct Bus<W> {
+    /// APB1's clock.
     apb1_mhz: u32,
+    wiring: PhantomData<W>,
 }
 
-fn regs() -> &'static i2c1::RegisterBlock {
-    // SAFETY: `Bus::new` has taken the peripheral.
-    unsafe { &*I2C1::ptr() }
+impl<W> Clone for Bus<W> {
+    fn clone(&self) -> Self {
+        Self { apb1_mhz: self.apb1_mhz, wiring: PhantomData }
+    }
 }
 
-impl Bus {
-    /// The bus on PB8 (SCL) and PB9 (SDA), which have pull-ups on this board.
-    pub fn new(_i2c: I2C1, scl: PB8, sda: PB9, rcc: &mut Rcc) -> Self {
-        scl.into_alternate_open_drain::<4>();
-        sda.into_alternate_open_drain::<4>();
-        I2C1::enable(rcc);
-        let bus = Self { apb1_mhz: rcc.clocks.pclk1().raw() / 1_000_000 };
+impl<W: Wired> Bus<W> {
+    /// The bus, whose pins are connected, and whose clock is that of APB1.
+    pub fn new(apb1_mhz: u32) -> Self {
+        let bus = Self { apb1_mhz, wiring: PhantomData };
         bus.set_up();
         bus
     }
@@ -81,8 +97,8 @@ impl Bus {
     /// Frees the data line, resets the peripheral and sets it up: fast mode, low twice as long as high, rise time
     /// 300 ns.
     fn set_up(&self) {
-        free_data_line();
-        let regs = regs();
+        W::COMPASS.free_data_line();
+        let regs = W::COMPASS.regs();
         regs.cr1().write(|w| w.swrst().set_bit());
         regs.cr1().reset();
         // SAFETY: APB1's clock in MHz, within the field's range; the other fields as computed here.
@@ -96,136 +112,142 @@ impl Bus {
     }
 }
 
-/// A sensor that was cut off in the middle of a byte may hold the data line, waiting for the clock: it gets the
-/// clocks to finish, up to nine, from the pin itself. Takes up to 0.1 ms.
-fn free_data_line() {
-    // SAFETY: PB8 and PB9 are this module's, and after `init` nobody else writes to the port's mode register.
-    let gpiob = unsafe { &*GPIOB::ptr() };
-    gpiob.bsrr().write(|w| w.bs8().set_bit());
-    gpiob.moder().modify(|_, w| w.moder8().output());
-    for _ in 0..9 {
-        if gpiob.idr().read().idr9().bit_is_set() {
-            break;
-        }
-        gpiob.bsrr().write(|w| w.br8().set_bit());
-        board::Wait.delay_us(5);
-        gpiob.bsrr().write(|w| w.bs8().set_bit());
-        board::Wait.delay_us(5);
-    }
-    gpiob.moder().modify(|_, w| w.moder8().alternate());
-}
-
-fn write(address: u8, bytes: &[u8]) -> Result<(), BusError> {
-    start(false)?;
-    send_address(address << 1)?;
-    regs().sr2().read();
-    for byte in bytes {
-        wait(|status| status.tx_e().bit_is_set())?;
-        // SAFETY: a byte.
-        regs().dr().write(|w| unsafe { w.bits(u16::from(*byte)) });
-    }
-    wait(|status| status.btf().bit_is_set())
-}
-
-fn read(address: u8, bytes: &mut [u8]) -> Result<(), BusError> {
-    match bytes {
-        [only] => {
-            start(false)?;
-            send_address(address << 1 | 1)?;
-            // The end must be ordered before the byte is complete.
-            cortex_m::interrupt::free(|_| {
-                regs().sr2().read();
-                stop();
-            });
-            *only = receive()?;
-            Ok(())
-        }
-        [first @ .., third_last, second_last, last] => {
-            start(true)?;
-            send_address(address << 1 | 1)?;
-            regs().sr2().read();
-            for byte in first {
-                *byte = receive()?;
-            }
-            // Two bytes wait, and the clock stands. The next one is the last.
-            wait(|status| status.btf().bit_is_set())?;
-            regs().cr1().modify(|_, w| w.ack().clear_bit());
-            *third_last = regs().dr().read().bits() as u8;
-            wait(|status| status.btf().bit_is_set())?;
-            stop();
-            *second_last = regs().dr().read().bits() as u8;
-            *last = receive()?;
-            Ok(())
-        }
-        _ => Err(BusError::Length),
-    }
-}
-
-/// Waits for `done` of the status; ends at an error, and when the run's time is up. A bus error is no error: the
-/// chip sees some that are none (errata sheet ES0182, "Spurious bus error detection in master mode").
-fn wait(done: impl Fn(&i2c1::sr1::R) -> bool) -> Result<(), BusError> {
-    loop {
-        let status = regs().sr1().read();
-        if status.af().bit_is_set() {
-            return Err(BusError::NotAcknowledged);
-        }
-        if status.arlo().bit_is_set() {
-            return Err(BusError::Disturbed);
-        }
-        if done(&status) {
-            return Ok(());
-        }
-        in_time()?;
-        cortex_m::asm::delay(LOOK_CYCLES);
-    }
-}
-
 fn in_time() -> Result<(), BusError> {
     let since_us = board::now_us().wrapping_sub(RUN_BEGAN_US.load(Ordering::Relaxed));
     if since_us > RUN_US { Err(BusError::TimeUp) } else { Ok(()) }
 }
 
-fn start(acknowledge: bool) -> Result<(), BusError> {
-    // The register must not be written to before the last stop is through.
-    while regs().cr1().read().stop().bit_is_set() {
-        in_time()?;
+impl Wiring {
+    fn regs(&self) -> &'static i2c1::RegisterBlock {
+        // SAFETY: only the task that has the bus uses it.
+        unsafe { &*self.i2c }
     }
-    regs().cr1().modify(|_, w| w.start().set_bit().ack().bit(acknowledge));
-    wait(|status| status.sb().bit_is_set())
+
+    /// A sensor that was cut off in the middle of a byte may hold the data line, waiting for the clock: it gets the
+    /// clocks to finish, up to nine, from the pin itself. Takes up to 0.1 ms.
+    fn free_data_line(&self) {
+        self.scl.set_high();
+        self.scl.make_output();
+        for _ in 0..9 {
+            if !self.sda.is_low() {
+                break;
+            }
+            self.scl.set_low();
+            board::Wait.delay_us(5);
+            self.scl.set_high();
+            board::Wait.delay_us(5);
+        }
+        self.scl.make_alternate();
+    }
+
+    fn write(&self, address: u8, bytes: &[u8]) -> Result<(), BusError> {
+        self.start(false)?;
+        self.send_address(address << 1)?;
+        self.regs().sr2().read();
+        for byte in bytes {
+            self.wait(|status| status.tx_e().bit_is_set())?;
+            // SAFETY: a byte.
+            self.regs().dr().write(|w| unsafe { w.bits(u16::from(*byte)) });
+        }
+        self.wait(|status| status.btf().bit_is_set())
+    }
+
+    fn read(&self, address: u8, bytes: &mut [u8]) -> Result<(), BusError> {
+        match bytes {
+            [only] => {
+                self.start(false)?;
+                self.send_address(address << 1 | 1)?;
+                // The end must be ordered before the byte is complete.
+                cortex_m::interrupt::free(|_| {
+                    self.regs().sr2().read();
+                    self.stop();
+                });
+                *only = self.receive()?;
+                Ok(())
+            }
+            [first @ .., third_last, second_last, last] => {
+                self.start(true)?;
+                self.send_address(address << 1 | 1)?;
+                self.regs().sr2().read();
+                for byte in first {
+                    *byte = self.receive()?;
+                }
+                // Two bytes wait, and the clock stands. The next one is the last.
+                self.wait(|status| status.btf().bit_is_set())?;
+                self.regs().cr1().modify(|_, w| w.ack().clear_bit());
+                *third_last = self.regs().dr().read().bits() as u8;
+                self.wait(|status| status.btf().bit_is_set())?;
+                self.stop();
+                *second_last = self.regs().dr().read().bits() as u8;
+                *last = self.receive()?;
+                Ok(())
+            }
+            _ => Err(BusError::Length),
+        }
+    }
+
+    /// Waits for `done` of the status; ends at an error, and when the run's time is up. A bus error is no error: the
+    /// chip sees some that are none (errata sheet ES0182, "Spurious bus error detection in master mode").
+    fn wait(&self, done: impl Fn(&i2c1::sr1::R) -> bool) -> Result<(), BusError> {
+        loop {
+            let status = self.regs().sr1().read();
+            if status.af().bit_is_set() {
+                return Err(BusError::NotAcknowledged);
+            }
+            if status.arlo().bit_is_set() {
+                return Err(BusError::Disturbed);
+            }
+            if done(&status) {
+                return Ok(());
+            }
+            in_time()?;
+            cortex_m::asm::delay(LOOK_CYCLES);
+        }
+    }
+
+    fn start(&self, acknowledge: bool) -> Result<(), BusError> {
+        // The register must not be written to before the last stop is through.
+        while self.regs().cr1().read().stop().bit_is_set() {
+            in_time()?;
+        }
+        self.regs().cr1().modify(|_, w| w.start().set_bit().ack().bit(acknowledge));
+        self.wait(|status| status.sb().bit_is_set())
+    }
+
+    fn send_address(&self, address: u8) -> Result<(), BusError> {
+        // SAFETY: a byte.
+        self.regs().dr().write(|w| unsafe { w.bits(u16::from(address)) });
+        self.wait(|status| status.addr().bit_is_set())
+    }
+
+    fn stop(&self) {
+        self.regs().cr1().modify(|_, w| w.stop().set_bit());
+    }
+
+    fn receive(&self) -> Result<u8, BusError> {
+        self.wait(|status| status.rx_ne().bit_is_set())?;
+        Ok(self.regs().dr().read().bits() as u8)
+    }
 }
 
-fn send_address(address: u8) -> Result<(), BusError> {
-    // SAFETY: a byte.
-    regs().dr().write(|w| unsafe { w.bits(u16::from(address)) });
-    wait(|status| status.addr().bit_is_set())
-}
-
-fn stop() {
-    regs().cr1().modify(|_, w| w.stop().set_bit());
-}
-
-fn receive() -> Result<u8, BusError> {
-    wait(|status| status.rx_ne().bit_is_set())?;
-    Ok(regs().dr().read().bits() as u8)
-}
-
-impl ErrorType for Bus {
+impl<W> ErrorType for Bus<W> {
     type Error = BusError;
 }
 
-impl I2c for Bus {
+impl<W: Wired> I2c for Bus<W> {
     fn transaction(&mut self, address: u8, operations: &mut [Operation<'_>]) -> Result<(), BusError> {
+        let wiring = W::COMPASS;
         let mut result = Ok(());
         let mut ends_itself = false;
         for operation in operations {
             result = match operation {
                 Operation::Write(bytes) => {
                     ends_itself = false;
-                    write(address, bytes)
+                    wiring.write(address, bytes)
                 }
                 Operation::Read(bytes) => {
                     ends_itself = true;
-                    read(address, bytes)
+                    wiring.read(address, bytes)
                 }
             };
             if result.is_err() {
@@ -234,11 +256,11 @@ impl I2c for Bus {
         }
         match result {
             Ok(()) if ends_itself => {}
-            Ok(()) => stop(),
+            Ok(()) => wiring.stop(),
             // An answer that does not come is common, and leaves the bus in order.
             Err(BusError::NotAcknowledged) => {
-                stop();
-                regs().sr1().modify(|_, w| w.af().clear_bit());
+                wiring.stop();
+                wiring.regs().sr1().modify(|_, w| w.af().clear_bit());
             }
             // Whatever state the peripheral is in, it begins anew.
             Err(_) => self.set_up(),

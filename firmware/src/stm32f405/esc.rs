@@ -1,32 +1,31 @@
-//! Four ESC outputs: pads M1 and M2 on channels 1 and 2 of TIM4, M3 and M4 on channels 3 and 4 of TIM3.
+//! Four ESC outputs: the motor pads M1 to M4, by the timers and DMA streams that the board's file gives them.
 //!
 //! | protocol | timers | what a step does | without steps |
 //! |---|---|---|---|
 //! | PWM | run for ever | writes four compare values, taken at the next period | the last pulse goes on |
 //! | OneShot125 | stand still | writes four compare values, starts one pulse | no pulses |
-//! | DShot300, DShot600 | one period a bit | writes two tables, from which DMA plays a frame | no frames, lines low |
+//! | DShot300, DShot600 | one period a bit | writes the frames' tables, which DMA plays | no frames, lines low |
 //!
 //! # All four at once
-//! Both timers have the same clock, prescaler and period. With PWM they are started one right after the other and
-//! never stopped, so that their periods begin within a microsecond of each other for ever. Compare values are
-//! preloaded: a timer takes them when a period begins. What remains is that a period begins between two of the
-//! four writes, and so nothing is written in the last [`GUARD_US`] of a period; the writes, their arithmetic and
-//! what may interrupt them take half of that. So one step's four pulses always go out in the same period. TIM4
-//! is started first: once TIM3, which is looked at, has begun a period, so has TIM4.
+//! All timers count 84 MHz: those of APB2, TIM1 and TIM8, divide their 168 MHz by two. They have the same prescaler and
+//! period. With PWM they are started one right after the other and never stopped, so that their periods begin within a
+//! microsecond of each other for ever. Compare values are preloaded: a timer takes them when a period begins. What remains
+//! is that a period begins between two of the four writes, and so nothing is written in the last [`GUARD_US`] of a period;
+//! the writes, their arithmetic and what may interrupt them take half of that. So one step's four pulses always go out in
+//! the same period. The last timer is the one that is looked at: once it has begun a period, so have the others.
 //!
 //! With the others the timers stand while they are written to, and are started afterwards.
 //!
 //! # DShot by DMA
-//! At the end of each bit the timer asks for DMA, which writes the next two compare values through the timer's
-//! DMAR register: `TIM3_UP` is DMA1 stream 2 channel 5, `TIM4_UP` stream 6 channel 2. The values are preloaded, so
-//! that those of the first request, one bit time after the start, are on the line from two bit times after the start
-//! on:
+//! At the end of each bit a timer asks for DMA, which writes the next compare values through the timer's DMAR register: of
+//! two channels side by side, or of all four. The values are preloaded, so that those of the first request, one bit time
+//! after the start, are on the line from two bit times after the start on:
 //! ```text
 //!  bit times        0         1         2         3   ...   17        18        19
 //!  on the line      low       low       bit 15    bit 14    bit 0     low       low
 //!  DMA writes                 bit 15    bit 14    bit 13    zero      zero; ends
 //! ```
-//! A frame ends 18 bit times after its start: 60 µs with DShot300, 30 µs with DShot600. The last two of the 18 pairs
+//! A frame ends 18 bit times after its start: 60 µs with DShot300, 30 µs with DShot600. The last two of the 18 values
 //! are zero, and the line stays low.
 //!
 //! # What is not sent
@@ -42,13 +41,16 @@ use core::sync::atomic::{AtomicBool, AtomicU32, Ordering, fence};
 use flight_core::esc::protocol::{
     DSHOT_SLOTS, DshotThrottle, Protocol, STOP_US, dshot_duty_pairs, oneshot125_counts, pwm_counts,
 };
-use stm32f4xx_hal::pac::{DMA1, TIM3, TIM4, dma2, tim3};
-use stm32f4xx_hal::rcc::{Enable, Reset};
+use stm32f4xx_hal::pac::tim1;
 
-#[cfg(not(feature = "unwired"))]
+use super::dma::Stream;
+#[cfg(feature = "wired")]
+use super::pin::Pin;
+
+#[cfg(feature = "wired")]
 mod end;
 
-/// Clock of both timers, counts a microsecond and a second: twice APB1's.
+/// Clock of all timers, counts a microsecond and a second: twice APB1's.
 const CLOCK_MHZ: f32 = 84.0;
 const CLOCK_HZ: f32 = 84.0e6;
 
@@ -79,9 +81,70 @@ pub enum Sent {
     Recovered,
 }
 
+/// A timer with motor pads.
+#[derive(Clone, Copy)]
+pub struct Timer {
+    /// Its registers. TIM1's are those of all: what the others lack is used with TIM1 and TIM8 only (RM0090, 17.4 and
+    /// 18.4).
+    pub registers: *const tim1::RegisterBlock,
+    /// It is TIM1 or TIM8: twice the clock, and outputs that must be let out.
+    pub advanced: bool,
+    /// DMA that plays frames.
+    pub stream: Stream,
+    /// First channel that DMA writes to, counted from 0.
+    pub first: u8,
+    /// How many pairs of channels DMA writes to, from there on: 1 or 2.
+    pub pairs: u8,
+}
+
+// SAFETY: an address of registers, and numbers.
+unsafe impl Sync for Timer {}
+
+/// A motor pad.
+#[derive(Clone, Copy)]
+pub struct Pad {
+    /// Its pin.
+    #[cfg(feature = "wired")]
+    pub pin: Pin,
+    /// The pin's alternate function, by which it is the timer's.
+    #[cfg(feature = "wired")]
+    pub function: u8,
+    /// Its timer's registers, as one of [`Outputs::timers`] has them.
+    pub timer: *const tim1::RegisterBlock,
+    /// Channel, counted from 0.
+    pub channel: u8,
+    /// It is the channel's complementary output.
+    pub complementary: bool,
+}
+
+// SAFETY: an address of registers, and numbers.
+unsafe impl Sync for Pad {}
+
+impl Pad {
+    #[inline(always)]
+    fn registers(&self) -> Registers {
+        // SAFETY: as a timer's.
+        unsafe { &*self.timer }
+    }
+}
+
+/// The pads of a board, and what drives them.
+#[derive(Clone, Copy)]
+pub struct Outputs {
+    /// The timers, in the order in which they are started.
+    pub timers: &'static [Timer],
+    /// M1 to M4.
+    pub pads: &'static [Pad; 4],
+    /// Lets the clocks of timers and DMA run.
+    pub enable: unsafe fn(),
+    /// Resets the timers.
+    pub reset: unsafe fn(),
+}
+
 /// The outputs, speaking one protocol. A constant of the board: a fault must find it without anybody's help.
 #[derive(Clone, Copy)]
 pub struct Lines {
+    outputs: Outputs,
     protocol: Protocol,
     prescaler: u16,
     /// Counts.
@@ -95,7 +158,8 @@ static DROPPED: AtomicBool = AtomicBool::new(false);
 
 impl Lines {
     /// Outputs that speak `protocol`.
-    pub const fn new(protocol: Protocol) -> Self {
+    pub const fn new(outputs: Outputs, protocol: Protocol) -> Self {
+        assert!(outputs.timers.len() <= TABLES.len());
         let (prescaler, period) = match protocol {
             Protocol::Pwm { rate_hz } => {
                 assert!(rate_hz >= 50.0 && rate_hz <= 400.0);
@@ -107,70 +171,92 @@ impl Lines {
             Protocol::DShot300 => (0, DSHOT300_BIT),
             Protocol::DShot600 => (0, DSHOT600_BIT),
         };
-        Self { protocol, prescaler, period, per_us: CLOCK_MHZ / (prescaler as f32 + 1.0) }
+        Self { outputs, protocol, prescaler, period, per_us: CLOCK_MHZ / (prescaler as f32 + 1.0) }
     }
 
-    /// Sets the timers up, and starts them with the stop pulse. They and DMA1 are as after a reset, and their clocks
-    /// run; the pins may be connected afterwards.
+    /// Sets the timers up, and starts them with the stop pulse. They are as after a reset, their streams of DMA are off,
+    /// and the clocks run; the pins may be connected afterwards.
     #[inline(never)]
     pub fn start(&self) {
-        let timers = [tim4(), tim3()];
         let one_pulse = self.protocol == Protocol::OneShot125;
-        for timer in timers {
+        for timer in self.outputs.timers {
+            let registers = timer.registers();
             // Only the end of a period asks for DMA, not the update that this module makes.
-            timer.cr1().write(|w| w.arpe().enabled().opm().bit(one_pulse).urs().counter_only());
-            timer.psc().write(|w| w.psc().set(self.prescaler));
-            timer.arr().write(|w| w.arr().set(self.period - 1));
+            registers.cr1().write(|w| w.arpe().enabled().opm().bit(one_pulse).urs().counter_only());
+            registers.psc().write(|w| w.psc().set(timer.prescaler(self.prescaler)));
+            registers.arr().write(|w| w.arr().set(self.period - 1));
         }
-        // Mode 1 is high up to the compare value, 2 from there on. OneShot125 takes the latter, so that the line is low
-        // while the timer stands.
-        if one_pulse {
-            tim4().ccmr1_output().write(|w| {
-                w.oc1m().pwm_mode2().oc1pe().enabled();
-                w.oc2m().pwm_mode2().oc2pe().enabled()
-            });
-            tim3().ccmr2_output().write(|w| {
-                w.oc3m().pwm_mode2().oc3pe().enabled();
-                w.oc4m().pwm_mode2().oc4pe().enabled()
-            });
-        } else {
-            tim4().ccmr1_output().write(|w| {
-                w.oc1m().pwm_mode1().oc1pe().enabled();
-                w.oc2m().pwm_mode1().oc2pe().enabled()
-            });
-            tim3().ccmr2_output().write(|w| {
-                w.oc3m().pwm_mode1().oc3pe().enabled();
-                w.oc4m().pwm_mode1().oc4pe().enabled()
-            });
+        for pad in self.outputs.pads {
+            let registers = pad.registers();
+            // Mode 1 is high up to the compare value, 2 from there on. OneShot125 takes the latter, so that the line is
+            // low while the timer stands.
+            let n = pad.channel % 2;
+            if pad.channel < 2 {
+                registers.ccmr1_output().modify(|_, w| {
+                    if one_pulse {
+                        w.ocm(n).pwm_mode2()
+                    } else {
+                        w.ocm(n).pwm_mode1()
+                    };
+                    w.ocpe(n).enabled()
+                });
+            } else {
+                registers.ccmr2_output().modify(|_, w| {
+                    if one_pulse {
+                        w.ocm(n).pwm_mode2()
+                    } else {
+                        w.ocm(n).pwm_mode1()
+                    };
+                    w.ocpe(n).enabled()
+                });
+            }
         }
         // Compare values at which the lines stay low, before the outputs are switched on.
-        load(if one_pulse { [self.period; 4] } else { [0; 4] });
-        timers.into_iter().for_each(take_preloaded);
-        tim4().ccer().write(|w| w.cc1e().set_bit().cc2e().set_bit());
-        tim3().ccer().write(|w| w.cc3e().set_bit().cc4e().set_bit());
+        self.load(if one_pulse { [self.period; 4] } else { [0; 4] });
+        self.each(take_preloaded);
+        for pad in self.outputs.pads {
+            // A complementary output alone is the same as the other one: it is not turned (RM0090, table 95).
+            pad.registers().ccer().modify(|_, w| {
+                if pad.complementary { w.ccne(pad.channel).set_bit() } else { w.cce(pad.channel).set_bit() }
+            });
+        }
+        for timer in self.outputs.timers {
+            if timer.advanced {
+                timer.registers().bdtr().write(|w| w.moe().enabled());
+            }
+        }
         match self.protocol {
             Protocol::Pwm { .. } => {
                 // They run before a pad is high: a pulse that begins while its timer stands is too long.
-                timers.into_iter().for_each(run);
+                self.each(run);
                 self.load_servo([STOP_US; 4]);
-                timers.into_iter().for_each(take_preloaded);
+                self.each(take_preloaded);
             }
             Protocol::OneShot125 => {}
             Protocol::DShot300 | Protocol::DShot600 => {
-                // Two registers a request: from CCR3 on, which has the offset 0x3c, and from CCR1 on, 0x34.
-                // SAFETY: one register more than one, of those that the timer has.
-                tim3().dcr().write(|w| unsafe { w.dbl().bits(1) }.dba().set(0x3c / 4));
-                // SAFETY: as above.
-                tim4().dcr().write(|w| unsafe { w.dbl().bits(1) }.dba().set(0x34 / 4));
-                TIM3_TABLE.set_up(tim3(), 5);
-                TIM4_TABLE.set_up(tim4(), 2);
+                for (timer, table) in self.outputs.timers.iter().zip(&TABLES) {
+                    timer.set_up_dma(table);
+                }
             }
+        }
+    }
+
+    #[inline(always)]
+    fn each(&self, act: impl Fn(Registers)) {
+        self.outputs.timers.iter().for_each(|timer| act(timer.registers()));
+    }
+
+    /// Writes the compare values of the four pads.
+    #[inline(always)]
+    fn load(&self, counts: [u16; 4]) {
+        for (pad, counts) in self.outputs.pads.iter().zip(counts) {
+            pad.registers().ccr(pad.channel as usize).write(|w| w.ccr().set(counts));
         }
     }
 
     #[inline]
     fn load_servo(&self, pulses_us: [f32; 4]) {
-        load(pulses_us.map(|us| pwm_counts(us, self.per_us)));
+        self.load(pulses_us.map(|us| pwm_counts(us, self.per_us)));
     }
 
     /// Sends pulses of M1 to M4 (µs on the servo scale).
@@ -183,34 +269,46 @@ impl Lines {
         match self.protocol {
             Protocol::Pwm { .. } => {
                 let guard = self.period - (GUARD_US * self.per_us) as u16;
-                for _ in 0..GUARD_LOOKS {
-                    if tim3().cnt().read().cnt().bits() < guard {
-                        break;
+                if let Some(last) = self.outputs.timers.last() {
+                    for _ in 0..GUARD_LOOKS {
+                        if last.registers().cnt().read().cnt().bits() < guard {
+                            break;
+                        }
                     }
                 }
                 self.load_servo(pulses_us);
             }
             Protocol::OneShot125 => {
                 let counts = pulses_us.map(|us| oneshot125_counts(us, CLOCK_MHZ));
-                load(counts.map(|counts| self.period.saturating_sub(counts)));
-                let timers = [tim4(), tim3()];
-                timers.into_iter().for_each(take_preloaded);
-                timers.into_iter().for_each(run);
+                self.load(counts.map(|counts| self.period.saturating_sub(counts)));
+                self.each(take_preloaded);
+                self.each(run);
             }
             Protocol::DShot300 | Protocol::DShot600 => {
-                let [m1, m2, m3, m4] = pulses_us.map(|us| DshotThrottle::from_pulse(us).frame(false));
-                TIM4_TABLE.write(dshot_duty_pairs([m1, m2], self.period));
-                TIM3_TABLE.write(dshot_duty_pairs([m3, m4], self.period));
-                let timers = [tim4(), tim3()];
-                timers.into_iter().for_each(rewind);
-                load([0; 4]);
-                timers.into_iter().for_each(take_preloaded);
-                TIM3_TABLE.play();
-                TIM4_TABLE.play();
-                for timer in timers {
-                    timer.dier().write(|w| w.ude().enabled());
-                    run(timer);
+                let frames = pulses_us.map(|us| DshotThrottle::from_pulse(us).frame(false));
+                for (timer, table) in self.outputs.timers.iter().zip(&TABLES) {
+                    // A channel without a pad plays a frame that nobody sees.
+                    let frame = |channel: u8| {
+                        let pads = self.outputs.pads.iter().zip(frames);
+                        pads.fold(0, |found, (pad, frame)| {
+                            if pad.timer == timer.registers && pad.channel == channel { frame } else { found }
+                        })
+                    };
+                    for pair in 0..timer.pairs {
+                        let channel = timer.first + 2 * pair;
+                        let duties = dshot_duty_pairs([frame(channel), frame(channel + 1)], self.period);
+                        table.write(pair as usize, timer.pairs as usize, duties);
+                    }
                 }
+                fence(Ordering::Release);
+                self.each(rewind);
+                self.load([0; 4]);
+                self.each(take_preloaded);
+                self.outputs.timers.iter().for_each(Timer::play);
+                self.each(|registers| {
+                    registers.dier().write(|w| w.ude().enabled());
+                    run(registers);
+                });
             }
         }
         sent
@@ -233,7 +331,7 @@ impl Lines {
         };
         DROPPED.store(false, Ordering::Relaxed);
         if hangs {
-            reset();
+            self.reset();
             self.start();
             return Sent::Recovered;
         }
@@ -245,8 +343,10 @@ impl Lines {
     fn busy(&self) -> bool {
         match self.protocol {
             Protocol::Pwm { .. } => false,
-            Protocol::OneShot125 => running(tim3()) || running(tim4()),
-            Protocol::DShot300 | Protocol::DShot600 => TIM3_TABLE.playing() || TIM4_TABLE.playing(),
+            Protocol::OneShot125 => self.outputs.timers.iter().any(|timer| running(timer.registers())),
+            Protocol::DShot300 | Protocol::DShot600 => {
+                self.outputs.timers.iter().any(|timer| timer.stream.runs())
+            }
         }
     }
 
@@ -256,136 +356,112 @@ impl Lines {
     fn was_cut(&self) -> bool {
         match self.protocol {
             Protocol::Pwm { .. } | Protocol::OneShot125 => false,
-            Protocol::DShot300 | Protocol::DShot600 => TIM3_TABLE.left() > 0 || TIM4_TABLE.left() > 0,
+            Protocol::DShot300 | Protocol::DShot600 => self
+                .outputs
+                .timers
+                .iter()
+                .any(|timer| timer.stream.registers().ndtr().read().ndt().bits() > 0),
         }
     }
-}
 
-/// Resets timers and DMA, and lets their clocks run. The pads fall: a timer in reset does not drive them, and they are
-/// pulled down.
-#[cold]
-#[inline(never)]
-fn reset() {
-    // SAFETY: only this module uses the three, and nothing of it is under way: this is the flight task, or a fault
-    // that does not return to it.
-    unsafe {
-        TIM3::enable_unchecked();
-        TIM4::enable_unchecked();
-        DMA1::enable_unchecked();
-        TIM3::reset_unchecked();
-        TIM4::reset_unchecked();
-        DMA1::reset_unchecked();
+    /// Resets the timers, ends their DMA, and lets the clocks run. The pads fall: a timer in reset does not drive them,
+    /// and they are pulled down. The streams are ended one by one: the inertial sensor may have others of the same
+    /// controller.
+    #[cold]
+    #[inline(never)]
+    fn reset(&self) {
+        // SAFETY: only this module uses the timers, and nothing of it is under way: this is the flight task, or a fault
+        // that does not return to it.
+        unsafe {
+            (self.outputs.enable)();
+            (self.outputs.reset)();
+        }
+        self.outputs.timers.iter().for_each(|timer| timer.stream.stop());
     }
 }
 
-type Timer = &'static tim3::RegisterBlock;
-
-fn tim3() -> Timer {
-    // SAFETY: after `init` nobody owns the timer, and only this module writes to it: the flight task, or a fault
-    // that does not return to it.
-    unsafe { &*TIM3::ptr() }
-}
-
-fn tim4() -> Timer {
-    // SAFETY: as TIM3.
-    unsafe { &*TIM4::ptr() }
-}
-
-#[inline(always)]
-fn load([m1, m2, m3, m4]: [u16; 4]) {
-    tim4().ccr1().write(|w| w.ccr().set(m1));
-    tim4().ccr2().write(|w| w.ccr().set(m2));
-    tim3().ccr3().write(|w| w.ccr().set(m3));
-    tim3().ccr4().write(|w| w.ccr().set(m4));
-}
+type Registers = &'static tim1::RegisterBlock;
 
 /// The timer takes its preloaded prescaler, period and compare values, and begins a period.
 #[inline(always)]
-fn take_preloaded(timer: Timer) {
-    timer.egr().write(|w| w.ug().update());
+fn take_preloaded(registers: Registers) {
+    registers.egr().write(|w| w.ug().update());
 }
 
 #[inline(always)]
-fn run(timer: Timer) {
-    timer.cr1().modify(|_, w| w.cen().enabled());
+fn run(registers: Registers) {
+    registers.cr1().modify(|_, w| w.cen().enabled());
 }
 
 #[inline(always)]
-fn running(timer: Timer) -> bool {
-    timer.cr1().read().cen().is_enabled()
+fn running(registers: Registers) -> bool {
+    registers.cr1().read().cen().is_enabled()
 }
 
 /// Stops the timer, with no request for DMA left.
 #[inline(always)]
-fn rewind(timer: Timer) {
-    timer.cr1().modify(|_, w| w.cen().disabled());
-    timer.dier().write(|w| w.ude().disabled());
+fn rewind(registers: Registers) {
+    registers.cr1().modify(|_, w| w.cen().disabled());
+    registers.dier().write(|w| w.ude().disabled());
 }
 
-/// Compare values of two outputs, in turn, and the stream of DMA1 that plays them. In RAM that DMA reaches: the linker
-/// puts no variable into the core-coupled memory (memory.x).
-struct Table<const STREAM: usize>([AtomicU32; DSHOT_SLOTS]);
+/// Offset of CCR1 among a timer's registers, counted in registers, as DCR counts.
+const FIRST_COMPARE: u8 = 0x34 / 4;
 
-static TIM3_TABLE: Table<2> = Table([const { AtomicU32::new(0) }; DSHOT_SLOTS]);
-static TIM4_TABLE: Table<6> = Table([const { AtomicU32::new(0) }; DSHOT_SLOTS]);
-
-fn dma() -> &'static dma2::RegisterBlock {
-    // SAFETY: only this module uses DMA1.
-    unsafe { &*DMA1::ptr() }
-}
-
-impl<const STREAM: usize> Table<STREAM> {
+impl Timer {
     #[inline(always)]
-    fn registers(&self) -> &'static dma2::ST {
-        dma().st(STREAM)
+    fn registers(&self) -> Registers {
+        // SAFETY: after `init` nobody owns the timer, and only this module writes to it: the flight task, or a fault
+        // that does not return to it.
+        unsafe { &*self.registers }
     }
 
-    /// What is the same in all frames: `timer` asks on `channel`. The stream is off.
-    fn set_up(&self, timer: Timer, channel: u8) {
-        let stream = self.registers();
+    /// What makes it count 84 MHz over `prescaler` and one.
+    fn prescaler(&self, prescaler: u16) -> u16 {
+        if self.advanced { 2 * prescaler + 1 } else { prescaler }
+    }
+
+    /// What is the same in all frames. The stream is off.
+    fn set_up_dma(&self, table: &'static Table) {
+        let registers = self.registers();
+        // SAFETY: so many registers less one, which begin with a compare value, and end with CCR4 at the latest.
+        registers
+            .dcr()
+            .write(|w| unsafe { w.dbl().bits(2 * self.pairs - 1).dba().bits(FIRST_COMPARE + self.first) });
+        let stream = self.stream.registers();
         // SAFETY: a register of the timer, which takes 16 bits.
-        stream.par().write(|w| unsafe { w.pa().bits(timer.dmar().as_ptr() as u32) });
-        // SAFETY: a static that has 2 · DSHOT_SLOTS halfwords, and that nothing but this module writes to.
-        stream.m0ar().write(|w| unsafe { w.m0a().bits(self.0.as_ptr() as u32) });
+        stream.par().write(|w| unsafe { w.pa().bits(registers.dmar().as_ptr() as u32) });
+        // SAFETY: a static that has twice as many halfwords for each pair, and that nothing but this module writes to.
+        stream.m0ar().write(|w| unsafe { w.m0a().bits(table.0.as_ptr() as u32) });
         stream.cr().write(|w| {
-            w.chsel().set(channel).pl().high();
+            w.chsel().set(self.stream.channel()).pl().high();
             w.dir().memory_to_peripheral().minc().incremented().msize().bits16().psize().bits16()
         });
     }
 
-    #[inline(always)]
-    fn write(&self, duties: [u32; DSHOT_SLOTS]) {
-        for (slot, pair) in self.0.iter().zip(duties) {
-            slot.store(pair, Ordering::Relaxed);
-        }
-        fence(Ordering::Release);
-    }
-
+    /// Plays its table with the next bits.
     #[inline(always)]
     fn play(&self) {
-        const { assert!(STREAM == 2 || STREAM == 6, "the flags of the others have other names") };
-        if STREAM == 2 {
-            dma().lifcr().write(|w| {
-                w.cfeif2().clear().cdmeif2().clear().cteif2().clear().chtif2().clear().ctcif2().clear()
-            });
-        } else {
-            dma().hifcr().write(|w| {
-                w.cfeif6().clear().cdmeif6().clear().cteif6().clear().chtif6().clear().ctcif6().clear()
-            });
-        }
-        let stream = self.registers();
-        stream.ndtr().write(|w| w.ndt().set(2 * DSHOT_SLOTS as u16));
+        self.stream.clear_all();
+        let stream = self.stream.registers();
+        stream.ndtr().write(|w| w.ndt().set(2 * u16::from(self.pairs) * DSHOT_SLOTS as u16));
         stream.cr().modify(|_, w| w.en().enabled());
     }
+}
 
-    #[inline(always)]
-    fn playing(&self) -> bool {
-        self.registers().cr().read().en().is_enabled()
-    }
+/// Compare values of a timer's channels, in turn, which DMA plays: for each bit one or two pairs. In RAM that DMA
+/// reaches: the linker puts no variable into the core-coupled memory (memory.x).
+struct Table([AtomicU32; 2 * DSHOT_SLOTS]);
 
-    /// Halfwords that are still to be played.
+/// One for each timer: four pads have four at most.
+static TABLES: [Table; 4] = [const { Table([const { AtomicU32::new(0) }; 2 * DSHOT_SLOTS]) }; 4];
+
+impl Table {
+    /// Writes the compare values of a pair, of so many.
     #[inline(always)]
-    fn left(&self) -> u16 {
-        self.registers().ndtr().read().ndt().bits()
+    fn write(&self, pair: usize, pairs: usize, duties: [u32; DSHOT_SLOTS]) {
+        for (slot, value) in self.0.iter().skip(pair).step_by(pairs).zip(duties) {
+            slot.store(value, Ordering::Relaxed);
+        }
     }
 }

@@ -368,6 +368,12 @@ impl Scene {
         self.tolerances.described()
     }
 
+    /// The flight controller's configuration for a board that is built into the vehicle: with how the board lies there, and
+    /// how the magnetometer does. In the scene itself the sensors lie along the vehicle's axes.
+    pub fn board_config(&self) -> Config {
+        Config { params: self.design.mounted(self.config.params), ..self.config }
+    }
+
     /// How the vehicle is held.
     pub fn mount(&self) -> Mount {
         if self.ball_joint { Mount::BallJoint } else { Mount::Free(Ground::new(&self.vehicle)) }

@@ -30,11 +30,11 @@ use flight_core::sample::{Battery, MagSample, RcFrame};
 use flight_core::{Config, FlightController};
 use hil_link::{Decoder, Done, MAX_FRAME, Order, Received, Started, ToBoard, ToHost, encode};
 use stm32f4xx_hal::pac::{Interrupt, interrupt};
+use tasks::{PERIOD_US, sampling};
 
 use super::chip::{end, instructions};
-use super::{CAME, now_us, play, sample_to_motors, sent, set_now};
-use crate::board::{PERIOD_US, Step, WAKE_FLIGHT, listen};
-use crate::sampling;
+use super::{CAME, now_us, play, sample_to_motors, sent, set_now, wake_flight};
+use crate::board::{Step, listen};
 
 #[cfg_attr(all(feature = "qemu", not(feature = "hil-usart")), path = "semihosting.rs")]
 #[cfg_attr(not(all(feature = "qemu", not(feature = "hil-usart"))), path = "usart.rs")]
@@ -175,12 +175,8 @@ fn begin_slot(came: u32) {
     set_now(at_us);
     bite_if_hungry(at_us);
     CAME.store(came, Ordering::Relaxed);
-    if SAMPLED.load(Ordering::Relaxed) {
-        sampling::ready(at_us, false);
-    } else {
-        sampling::overdue(at_us);
-    }
-    NVIC::pend(WAKE_FLIGHT);
+    let sampled = SAMPLED.load(Ordering::Relaxed);
+    wake_flight(if sampled { sampling::ready(at_us, false) } else { sampling::overdue(at_us) });
 }
 
 /// Waits for the next frame, and lays out what it brings.

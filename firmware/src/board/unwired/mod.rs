@@ -26,16 +26,19 @@
 
 use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 
-use cortex_m::peripheral::SCB;
+use cortex_m::peripheral::{NVIC, SCB};
 use drivers::icm42688p::{FRAME_LEN, Frame};
 use flight_core::arming::MotorPermit;
 use flight_core::esc::protocol::{Protocol, STOP_US};
 use flight_core::sample::ImuSample;
-use stm32f4xx_hal::pac::{self, TIM3, TIM5};
+use stm32f4xx_hal::pac::{self, TIM3, TIM4, TIM5};
+use stm32f4xx_hal::rcc::{Enable, Reset};
+use tasks::sampling::{self, BurstBus, FrameBuffer, Next, Signal};
 
-use super::Board;
-use crate::sampling::{self, BurstBus, FrameBuffer, Signal};
-use crate::stm32f405::esc::Lines;
+use super::{Board, WAKE_FLIGHT};
+use crate::fault;
+use crate::stm32f405::dma::Stream;
+use crate::stm32f405::esc::{self, Lines, Pad, Timer};
 
 #[cfg_attr(feature = "qemu", path = "emulated.rs")]
 #[cfg_attr(not(feature = "qemu"), path = "on_a_desk.rs")]
@@ -47,8 +50,66 @@ mod source;
 pub use chip::{NAME, halt};
 pub use source::{Compass, Monitor, Radio, Supply, Watchdog};
 
+/// Two timers, as most flight boards have them; no pin is connected to them.
+const TIMERS: [Timer; 2] = [
+    Timer {
+        registers: TIM4::PTR.cast(),
+        advanced: false,
+        stream: Stream::new(pac::DMA1::PTR, 6, 2),
+        first: 0,
+        pairs: 1,
+    },
+    Timer {
+        registers: TIM3::PTR.cast(),
+        advanced: false,
+        stream: Stream::new(pac::DMA1::PTR, 2, 5),
+        first: 2,
+        pairs: 1,
+    },
+];
+
+const fn pad(timer: usize, channel: u8) -> Pad {
+    Pad { timer: TIMERS[timer].registers, channel, complementary: false }
+}
+
 /// The emulator's TIM4 has a prescaler of 3 then, which makes it count instructions.
-const LINES: Lines = Lines::new(Protocol::Pwm { rate_hz: 400.0 });
+const LINES: Lines = Lines::new(
+    esc::Outputs {
+        timers: &TIMERS,
+        pads: &[pad(0, 0), pad(0, 1), pad(1, 2), pad(1, 3)],
+        enable: enable_motor_timers,
+        reset: reset_motor_timers,
+    },
+    Protocol::Pwm { rate_hz: 400.0 },
+);
+
+/// # Safety
+/// Whoever calls it has the timers.
+unsafe fn enable_motor_timers() {
+    // SAFETY: the caller's.
+    unsafe {
+        TIM3::enable_unchecked();
+        TIM4::enable_unchecked();
+    }
+}
+
+/// # Safety
+/// Whoever calls it has the timers.
+unsafe fn reset_motor_timers() {
+    // SAFETY: the caller's.
+    unsafe {
+        TIM3::reset_unchecked();
+        TIM4::reset_unchecked();
+    }
+}
+
+/// Wakes `flight`: software alone plays the burst.
+fn wake_flight(next: Next) {
+    match next {
+        Next::Burst | Next::Flight => NVIC::pend(WAKE_FLIGHT),
+        Next::Stop => fault::stop(),
+    }
+}
 
 /// Starts the time, and the source.
 pub fn init(mut core: cortex_m::Peripherals, device: pac::Peripherals) -> Board {
@@ -68,7 +129,6 @@ pub fn init(mut core: cortex_m::Peripherals, device: pac::Peripherals) -> Board 
         imu: Imu,
         outputs: Outputs(()),
         monitor: Monitor::default(),
-        ear: Ear,
         radio: Radio::default(),
         supply: Supply::default(),
         compass: Compass::default(),
@@ -152,14 +212,6 @@ pub struct Imu;
 impl Imu {
     /// Is never called.
     pub fn run(&mut self) {}
-}
-
-/// No bytes come.
-pub struct Ear;
-
-impl Ear {
-    /// Is never called.
-    pub fn hear(&mut self) {}
 }
 
 // The pulses last sent, µs as the bits of an f32, and whether with a permit: for the record.

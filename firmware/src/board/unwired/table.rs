@@ -21,12 +21,13 @@ use fixed_input::{STEPS, WORDS_FILE, WORDS_PER_STEP};
 use flight_core::Config;
 use flight_core::sample::{Battery, MagSample, RcFrame};
 use stm32f4xx_hal::pac::{Interrupt, TIM2, interrupt, tim2};
+use tasks::sampling::{self, Next};
+use tasks::watch::{COMPASS_TICKS, SUPPLY_TICKS};
+use tasks::{OVERDUE_US, PERIOD_US};
 
 use super::chip::instructions;
-use super::{CAME, play, sample_to_motors, sent, set_now};
-use crate::board::{OVERDUE_US, PERIOD_US, SENSE_PRIORITY, Step, WAKE_FLIGHT, listen};
-use crate::sampling;
-use crate::watch::{COMPASS_TICKS, SUPPLY_TICKS};
+use super::{CAME, play, sample_to_motors, sent, set_now, wake_flight};
+use crate::board::{SENSE_PRIORITY, Step, WAKE_FLIGHT, listen};
 
 /// Time from one tick to the next, µs.
 const TICK_US: u32 = PERIOD_US / 2;
@@ -94,7 +95,7 @@ fn TIM2() {
         if ARRIVES.load(Ordering::Relaxed) {
             CAME.store(came, Ordering::Relaxed);
             SAMPLE_TICK.store(tick, Ordering::Relaxed);
-            assert!(sampling::ready(at_us, false), "the last sample has not been taken");
+            assert!(sampling::ready(at_us, false) == Next::Burst, "the last sample has not been taken");
             NVIC::pend(WAKE_FLIGHT);
         }
         return;
@@ -102,8 +103,7 @@ fn TIM2() {
     prepare(tick / TICKS_PER_PERIOD + 1);
     let late = tick - SAMPLE_TICK.load(Ordering::Relaxed);
     if late >= TICKS_TO_OVERDUE && (late - TICKS_TO_OVERDUE).is_multiple_of(TICKS_PER_PERIOD) {
-        sampling::overdue(at_us);
-        NVIC::pend(WAKE_FLIGHT);
+        wake_flight(sampling::overdue(at_us));
     }
 }
 

@@ -27,7 +27,7 @@
 use cortex_m::asm::delay;
 use flight_core::esc::protocol::{Protocol, STOP_US};
 
-use super::{Lines, reset};
+use super::Lines;
 
 /// Looks of the end: for the frame or period on its way to end, for all pads to be low, and in the pause.
 struct Waits {
@@ -70,15 +70,27 @@ fn wait_until(looks: u32, is_so: impl Fn() -> bool) {
 }
 
 impl Lines {
-    /// Lets end what is on its way, but not for long, and sets timers and DMA up anew, with their clocks. The next thing
-    /// is to send the stop. `pads_low` says whether all four pads are low now.
-    pub fn settle(&self, pads_low: impl Fn() -> bool) {
+    /// Lets end what is on its way, but not for long, and sets timers, DMA and pads up anew, with their clocks. The next
+    /// thing is to send the stop.
+    pub fn settle(&self) {
+        let pads_low = || self.outputs.pads.iter().all(|pad| pad.pin.is_low());
         let Waits { frame, pulse, pause } = waits(self.protocol);
         wait_until(frame, || !self.busy());
         wait_until(pulse, pads_low);
-        reset();
+        self.reset();
         wait_until(pause, || false);
         self.start();
+        self.connect_pads();
+    }
+
+    /// Gives the pads to the timers, pulled down.
+    pub fn connect_pads(&self) {
+        self.outputs.pads.iter().for_each(|pad| pad.pin.connect(pad.function));
+    }
+
+    /// Takes them from the timers, pulled down.
+    pub fn pull_pads_down(&self) {
+        self.outputs.pads.iter().for_each(|pad| pad.pin.pull_down());
     }
 
     /// Goes on sending the stop, which [`Self::settle`] has made way for, until the watchdog resets the

@@ -1,7 +1,7 @@
 //! A 32-bit microsecond counter, extended to 64 bits.
 
 /// The extension of a counter that is looked at at least once in each half of its 71 minutes.
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, Default)]
 pub struct Clock {
     last: u32,
     total_us: u64,

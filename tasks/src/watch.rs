@@ -13,9 +13,9 @@ use core::sync::atomic::{AtomicU32, Ordering};
 
 use flight_core::watchdog::{Deadline, Late, Roll};
 
-use crate::board::{OVERDUE_US, PERIOD_US};
 use crate::clock::Clock;
 use crate::tally::TALLY;
+use crate::{OVERDUE_US, PERIOD_US};
 
 /// The periodic tasks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

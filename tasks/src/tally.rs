@@ -34,7 +34,8 @@ impl Count {
         self.0.store(value, Ordering::Relaxed);
     }
 
-    fn take(&self) -> u32 {
+    /// The value, which begins anew.
+    pub fn take(&self) -> u32 {
         self.0.swap(0, Ordering::Relaxed)
     }
 }
@@ -91,30 +92,3 @@ pub static TALLY: Tally = Tally {
     delayed: Count::new(),
     battery_mv: Count::new(),
 };
-
-impl Tally {
-    /// Writes the health line, and begins anew. `missed`: deadlines missed since start.
-    pub fn log(&self, missed: u32) {
-        defmt::info!(
-            "imu lost {=u32} polled {=u32} late {=u32} repeated {=u32} invalid {=u32} unreadable {=u32}, flight {=u32} us, \
-             outputs dropped {=u32} recovered {=u32}, mag {=u32} errors {=u32}, rc {=u32} bad {=u32}, \
-             battery {=u32} mV, delayed {=u32} missed {=u32}",
-            self.lost.take(),
-            self.polled.take(),
-            self.late.take(),
-            self.repeated.take(),
-            self.invalid.take(),
-            self.unreadable.take(),
-            self.longest_us.take(),
-            self.outputs_dropped.take(),
-            self.outputs_recovered.take(),
-            self.mag.take(),
-            self.mag_errors.take(),
-            self.rc.take(),
-            self.rc_bad.take(),
-            self.battery_mv.take(),
-            self.delayed.take(),
-            missed,
-        );
-    }
-}

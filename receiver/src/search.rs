@@ -1,4 +1,4 @@
-//! From the bytes at the receiver's port to the frames that the flight controller takes.
+//! The search for what the receiver speaks.
 //!
 //! Which protocol the receiver speaks is found out: the port listens for one, then for the other, half a second
 //! each, until several frames in a row were good. From then on it stays with that one until the next start: a
@@ -6,7 +6,8 @@
 
 use flight_core::rc::ChannelMap;
 use flight_core::sample::RcFrame;
-use receiver::{Line, Protocol, Receiver};
+
+use crate::{Line, Protocol, Receiver};
 
 /// How long the port listens for one protocol, µs.
 const LISTEN_US: u64 = 500_000;
@@ -16,15 +17,15 @@ const FOUND_FRAMES: u8 = 3;
 
 /// What came in at the port.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Heard {
+pub enum Received {
     /// A byte.
     Byte(u8),
     /// A byte with wrong parity, without its stop bit, or after one that was lost.
     Damaged,
 }
 
-/// The receiver, and the search for what it speaks.
-pub struct Pilot {
+/// A receiver whose protocol is found out.
+pub struct Search {
     receiver: Receiver,
     protocol: Protocol,
     listening_since_us: u64,
@@ -32,7 +33,7 @@ pub struct Pilot {
     channels: ChannelMap,
 }
 
-impl Pilot {
+impl Search {
     /// What is tried first.
     pub const FIRST: Protocol = Protocol::Crsf;
 
@@ -53,10 +54,10 @@ impl Pilot {
     }
 
     /// Takes what came in at `time_us`, and returns the frame that it completes.
-    pub fn hear(&mut self, heard: Heard, time_us: u64) -> Option<RcFrame> {
-        let frame = match heard {
-            Heard::Byte(byte) => self.receiver.push(byte, time_us)?,
-            Heard::Damaged => {
+    pub fn push(&mut self, received: Received, time_us: u64) -> Option<RcFrame> {
+        let frame = match received {
+            Received::Byte(byte) => self.receiver.push(byte, time_us)?,
+            Received::Damaged => {
                 self.receiver.line_error(time_us);
                 return None;
             }
@@ -69,7 +70,7 @@ impl Pilot {
     }
 
     /// How the port must be set up from now on, if that is to change.
-    pub fn search(&mut self, now_us: u64) -> Option<Line> {
+    pub fn next_line(&mut self, now_us: u64) -> Option<Line> {
         if self.found().is_some() || now_us.saturating_sub(self.listening_since_us) < LISTEN_US {
             return None;
         }

@@ -1,10 +1,11 @@
-//! From the record in flash to what the flight controller is built from.
+//! From a record in a board's flash to what the flight controller is built from.
 //!
 //! The vehicle's configuration and its sensors' calibration are stored; what is soldered to the board is not. A record
 //! is taken whole or not at all: part of one would be a vehicle that nobody has set up.
 
 use flight_core::{Config, FlightController, Params};
-use stored_config::{DecodeError, decode};
+
+use crate::{DecodeError, decode};
 
 /// Sensitivities this close to the board's, as a share, are the same: a host computes them in f64.
 const SAME_SENSITIVITY: f32 = 1.0e-3;
@@ -34,12 +35,13 @@ impl Refused {
 /// The configuration of the record at the beginning of `bytes`, for a board with the rate, the sensitivities and the
 /// mounting of `board`.
 ///
-/// The inertial sensor's mounting is the board's, whatever the record says. Its rate and the sensitivities are what the
-/// drivers set the chips to, and a record for others is refused: its gains and its calibration belong to another board.
+/// The record says how the board lies in the vehicle, and how the magnetometer does, which is not soldered to the board; the
+/// inertial sensor's mounting on the board is the board's. The sensors' rate and sensitivities are what the drivers set the
+/// chips to, and a record for others is refused: its gains and its calibration belong to another board.
 ///
 /// # Errors
 /// The record is not whole, or not for this board, or no flight controller can be built from it.
-pub fn read(bytes: &[u8], board: &Params) -> Result<Config, Refused> {
+pub fn read_for_board(bytes: &[u8], board: &Params) -> Result<Config, Refused> {
     let mut config = decode(bytes).map_err(Refused::Record)?;
     let params = &mut config.params;
     if params.imu_rate_hz != board.imu_rate_hz {
@@ -56,8 +58,8 @@ pub fn read(bytes: &[u8], board: &Params) -> Result<Config, Refused> {
             return Err(Refused::NotTheBoards(field));
         }
     }
-    params.gyro.mounting = board.gyro.mounting;
-    params.accel.mounting = board.accel.mounting;
+    params.gyro.mounting = params.gyro.mounting * board.gyro.mounting;
+    params.accel.mounting = params.accel.mounting * board.accel.mounting;
     match FlightController::new(&config) {
         Ok(_) => Ok(config),
         Err(error) => Err(Refused::OutOfRange(error.field)),

@@ -30,14 +30,13 @@ use drivers::icm42688p::{FRAME_LEN, Frame, FrameError, Recovery, decode};
 use flight_core::sample::ImuSample;
 
 use crate::clock::Clock;
-use crate::fault;
 use crate::tally::TALLY;
 
 /// A burst takes 13 µs. One that takes longer than this hangs, µs.
 const BURST_LIMIT_US: i32 = 100;
 /// So often the flight task may be woken without finishing a run; then it hangs, and the motors stop: 20 ms,
 /// long before the watchdog resets the board.
-const UNSERVED_LIMIT: u32 = 20;
+pub const UNSERVED_LIMIT: u32 = 20;
 
 /// Who has the bus: one of the three that follow.
 static OWNER: AtomicU8 = AtomicU8::new(NOBODY);
@@ -62,18 +61,27 @@ static UNSERVED: AtomicU32 = AtomicU32::new(0);
 /// Edges of the data-ready line while the sensor was being set up.
 static EDGES: AtomicU32 = AtomicU32::new(0);
 
-/// A sample became ready at `at_us`; `running` if the burst of the one before still runs. Returns whether a burst
-/// must be started; if not, `flight` must be woken, to see to the one that has the bus. For the board's
-/// interrupt, at a priority above `flight`'s.
-pub fn ready(at_us: u32, running: bool) -> bool {
+/// What the board's interrupt must do.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[must_use]
+pub enum Next {
+    /// Start a burst.
+    Burst,
+    /// Wake `flight`, to see to the burst that has the bus, or to step without a sample.
+    Flight,
+    /// Stop the motors: `flight` was woken [`UNSERVED_LIMIT`] times, and has not finished a run.
+    Stop,
+}
+
+/// A sample became ready at `at_us`; `running` if the burst of the one before still runs. For the board's interrupt, at a
+/// priority above `flight`'s.
+pub fn ready(at_us: u32, running: bool) -> Next {
     match OWNER.load(Ordering::Acquire) {
         NOBODY => {
-            count_wake_up();
             begin_burst(at_us, false);
-            return true;
+            return wake_up(Next::Burst);
         }
         BURST => {
-            count_wake_up();
             if running {
                 RISEN.store(true, Ordering::Relaxed);
             } else {
@@ -83,30 +91,26 @@ pub fn ready(at_us: u32, running: bool) -> bool {
         _ => {
             // Nobody else writes to it.
             EDGES.store(EDGES.load(Ordering::Relaxed).wrapping_add(1), Ordering::Relaxed);
-            overdue(at_us);
+            return overdue(at_us);
         }
     }
-    false
+    wake_up(Next::Flight)
 }
 
-/// No edge came until `at_us`. Returns whether a burst must be started all the same; if not, `flight` must be woken.
-/// For the board's interrupt, at the same priority.
-#[cfg_attr(feature = "unwired", expect(dead_code, reason = "samples that do not come are missing there"))]
-pub fn poll(at_us: u32) -> bool {
+/// No edge came until `at_us`. For the board's interrupt, at the same priority.
+pub fn poll(at_us: u32) -> Next {
     if OWNER.load(Ordering::Acquire) == NOBODY {
-        count_wake_up();
         begin_burst(at_us, true);
-        return true;
+        return wake_up(Next::Burst);
     }
-    overdue(at_us);
-    false
+    overdue(at_us)
 }
 
-/// No sample came until `at_us`, and none is asked for. For the board's interrupt, which then wakes `flight`.
-pub fn overdue(at_us: u32) {
-    count_wake_up();
+/// No sample came until `at_us`, and none is asked for. For the board's interrupt.
+pub fn overdue(at_us: u32) -> Next {
     OVERDUE_US.store(at_us, Ordering::Relaxed);
     OVERDUE.store(true, Ordering::Release);
+    wake_up(Next::Flight)
 }
 
 fn begin_burst(at_us: u32, polled: bool) {
@@ -121,17 +125,15 @@ pub fn served() {
     UNSERVED.store(0, Ordering::Relaxed);
 }
 
-fn count_wake_up() {
+/// Counts a wake-up of `flight`, for which `next` is to be done.
+fn wake_up(next: Next) -> Next {
     // The only one who writes besides is `served`, at a lower priority.
     let unserved = UNSERVED.load(Ordering::Relaxed).wrapping_add(1);
     UNSERVED.store(unserved, Ordering::Relaxed);
-    if unserved > UNSERVED_LIMIT {
-        fault::stop();
-    }
+    if unserved > UNSERVED_LIMIT { Next::Stop } else { next }
 }
 
 /// The set-up has the bus from now on. Before the interrupts are let in.
-#[cfg(not(feature = "unwired"))]
 pub fn claim() {
     OWNER.store(SET_UP, Ordering::Release);
 }
@@ -142,13 +144,11 @@ pub fn setting_up() -> bool {
 }
 
 /// How often the data-ready line has risen while the sensor was being set up.
-#[cfg(not(feature = "unwired"))]
 pub fn edges() -> u32 {
     EDGES.load(Ordering::Relaxed)
 }
 
 /// The sensor is set up, and its bus ready for bursts.
-#[cfg(not(feature = "unwired"))]
 pub fn set_up_done() {
     OWNER.store(NOBODY, Ordering::Release);
 }
@@ -157,6 +157,12 @@ pub fn set_up_done() {
 /// (memory.x). Words, because four bytes are fetched as fast as one.
 pub struct FrameBuffer([AtomicU32; FRAME_LEN / 4]);
 
+impl Default for FrameBuffer {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
 impl FrameBuffer {
     /// All zeros, which is no frame.
     pub const fn new() -> Self {
@@ -164,13 +170,11 @@ impl FrameBuffer {
     }
 
     /// For DMA.
-    #[cfg(not(feature = "unwired"))]
     pub fn address(&self) -> u32 {
         self.0.as_ptr() as u32
     }
 
     /// For a board that plays the sensor.
-    #[cfg(feature = "unwired")]
     pub fn write(&self, frame: &Frame) {
         for (word, bytes) in self.0.iter().zip(frame.as_chunks().0) {
             word.store(u32::from_ne_bytes(*bytes), Ordering::Relaxed);

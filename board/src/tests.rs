@@ -1,0 +1,192 @@
+use super::*;
+
+fn text(name: &str) -> &'static str {
+    BUILT_IN.iter().find(|board| board.0 == name).unwrap().1
+}
+
+fn parsed(text: &str) -> Result<Board, String> {
+    Board::parse("x", "x.toml", text).map_err(|error| error.to_string())
+}
+
+/// The board's file with something else in it.
+#[track_caller]
+fn refused(of: &str, old: &str, new: &str) -> String {
+    let text = text(of);
+    assert!(text.contains(old), "{old}");
+    parsed(&text.replace(old, new)).unwrap_err()
+}
+
+/// Pads, and what ArduPilot's `hwdef.dat` calls them: the second source, which the files were not written from.
+#[test]
+fn pads_are_those_of_ardupilots_pin_lists() {
+    for (name, lines) in [
+        (
+            "speedybee-f405-v4",
+            "PB6 TIM4_CH1 TIM4 PWM(1)\nPB7 TIM4_CH2 TIM4 PWM(2)\nPB0 TIM3_CH3 TIM3 PWM(3)\nPB1 TIM3_CH4 TIM3 PWM(4)",
+        ),
+        (
+            "speedybee-f405-mini",
+            "PB6 TIM4_CH1 TIM4 PWM(1)\nPB7 TIM4_CH2 TIM4 PWM(2)\nPB1 TIM3_CH4 TIM3 PWM(3)\nPB0 TIM3_CH3 TIM3 PWM(4)",
+        ),
+        (
+            "matek-f405-te",
+            "PC9 TIM8_CH4 TIM8 PWM(1)\nPC8 TIM8_CH3 TIM8 PWM(2)\nPB15 TIM1_CH3N TIM1 PWM(3)\nPA8 TIM1_CH1 TIM1 PWM(4)",
+        ),
+    ] {
+        let board = Board::load(name).unwrap();
+        let ours = board.motors.iter().enumerate().map(|(n, motor)| {
+            let connection = &motor.connection;
+            let (pin, timer) = (connection.pin, &connection.peripheral);
+            let not = if motor.complementary { "N" } else { "" };
+            format!("{pin} {timer}_CH{}{not} {timer} PWM({})", motor.channel, n + 1)
+        });
+        assert_eq!(ours.collect::<Vec<_>>().join("\n"), lines);
+    }
+}
+
+/// The rest of those lists: pins of the sensors, the receiver, the battery and the light; its scale.
+#[test]
+fn pins_are_those_of_ardupilots_pin_lists() {
+    for (name, pins, ratio) in [
+        ("speedybee-f405-v4", "PA5 PA6 PA7 PA4 PB8 PB9 PA3 PC0 PC13", 11.0),
+        ("speedybee-f405-mini", "PA5 PA6 PA7 PA4 PB8 PB9 PA3 PC0 PC13", 11.0),
+        ("matek-f405-te", "PA5 PB4 PA7 PC14 PB8 PB7 PA3 PC4", 21.0),
+    ] {
+        let board = Board::load(name).unwrap();
+        let bus = board.imu.bus.iter().map(|connection| connection.pin);
+        let rest = [
+            board.imu.select,
+            board.compass.scl.pin,
+            board.compass.sda.pin,
+            board.receiver.pin,
+            board.battery.pin,
+        ];
+        let all = bus.chain(rest).chain(board.light.map(|light| light.pin));
+        let all: Vec<String> = all.map(|pin| pin.to_string()).collect();
+        assert_eq!(all.join(" "), pins);
+        assert_eq!(board.battery.ratio, ratio);
+    }
+}
+
+/// ArduPilot's rotations of the same chip: about its axes forward, right, down.
+#[test]
+fn sensors_lie_as_ardupilots_rotations_say() {
+    // ROTATION_PITCH_180_YAW_270, ROTATION_PITCH_180_YAW_90, ROTATION_YAW_90.
+    let pitched = |[x, y, z]: [i32; 3]| [-x, y, -z];
+    let yawed_90 = |[x, y, z]: [i32; 3]| [-y, x, z];
+    let yawed_270 = |[x, y, z]: [i32; 3]| [y, -x, z];
+    let chip = [1, 2, 3];
+    for (name, expected) in [
+        ("speedybee-f405-v4", yawed_270(pitched(chip))),
+        ("speedybee-f405-mini", yawed_90(pitched(chip))),
+        ("matek-f405-te", yawed_90(chip)),
+    ] {
+        assert_eq!(Board::load(name).unwrap().imu.axes.of(chip), expected, "{name}");
+    }
+}
+
+#[test]
+fn streams_follow_from_the_timers() {
+    let board = Board::load("matek-f405-te").unwrap();
+    let of = |stream: Stream| (stream.controller, stream.number, stream.channel);
+    assert_eq!(board.imu.streams.map(of), [(2, 0, 3), (2, 3, 3)]);
+    let timers: Vec<_> = board.timers.iter().map(|timer| (timer.name.as_str(), of(timer.stream))).collect();
+    assert_eq!(timers, [("TIM8", (2, 1, 7)), ("TIM1", (2, 5, 6))]);
+}
+
+#[test]
+fn conflicts_are_refused_by_name() {
+    let v4 = "speedybee-f405-v4";
+    for (old, new, error) in [
+        ("\"PC13\"", "\"PC4\"", "x.toml: light.pin = PC4: is imu.ready's pin already"),
+        (
+            "\"PC13\"",
+            "\"PA14\"",
+            "x.toml: light.pin = PA14: is a pin of the debug probe, which would lose the board",
+        ),
+        (
+            "\"PC13\"",
+            "\"PE3\"",
+            "x.toml: light.pin = PE3: must be a pin of the STM32F405RG: PA0 to PC15, or PD2",
+        ),
+        (
+            "\"PC13\"",
+            "\"PC013\"",
+            "x.toml: light.pin = PC013: must be a pin of the STM32F405RG: PA0 to PC15, or PD2",
+        ),
+        (
+            "{ pin = \"PB0\", timer = \"TIM3\"",
+            "{ pin = \"PC2\", timer = \"TIM3\"",
+            "x.toml: motors.M3.timer = TIM3: TIM3 has no channel at PC2; no timer that can drive a motor has",
+        ),
+        (
+            "{ pin = \"PB0\", timer = \"TIM3\"",
+            "{ pin = \"PB0\", timer = \"TIM4\"",
+            "x.toml: motors.M3.timer = TIM4: TIM4 has no channel at PB0; TIM1 or TIM3 or TIM8 has",
+        ),
+        (
+            "{ pin = \"PB0\", timer = \"TIM3\"",
+            "{ pin = \"PA2\", timer = \"TIM5\"",
+            "x.toml: motors.M3.timer = TIM5: counts the firmware's microseconds; motors can have another",
+        ),
+        (
+            "{ pin = \"PB0\", timer = \"TIM3\"",
+            "{ pin = \"PC9\", timer = \"TIM3\"",
+            "x.toml: motors.M4.pin = PB1: is on channel 4 of TIM3, as M3 is",
+        ),
+        ("rear-left", "rear-right", "x.toml: motors.M3.rotor = rear-right: is M1's already"),
+        ("M3 =", "M5 =", "x.toml: motors = M5: must be one of M1, M2, M3, M4 (did you mean `M1`?)"),
+        ("\"PA6\"", "\"PB5\"", "x.toml: imu.miso = PB5: is not MISO of SPI1, which is at PA6, PB4"),
+        ("\"SPI1\"", "\"SPI2\"", "x.toml: imu.spi = SPI2: must be one of SPI1 (did you mean `SPI1`?)"),
+        ("\"USART2\"", "\"USART1\"", "x.toml: receiver.rx = PA3: is not RX of USART1, which is at PA10, PB7"),
+        (
+            "pin = \"PC0\"",
+            "pin = \"PC6\"",
+            "x.toml: battery.pin = PC6: must be a pin that ADC1 measures: PA0 to PA7, PB0, PB1, PC0 to PC5",
+        ),
+        (
+            "ratio = 11.0",
+            "ratio = 0.5",
+            "x.toml: battery.ratio = 0.5: must be from 1 to 50 V for one at the pin",
+        ),
+        ("crystal_mhz = 8", "crystal_mhz = 2", "x.toml: crystal_mhz = 2: must be from 4 to 26 MHz"),
+        (
+            "stm32f405",
+            "stm32f411",
+            "x.toml: mcu = stm32f411: must be one of stm32f405 (did you mean `stm32f405`?)",
+        ),
+    ] {
+        assert_eq!(refused(v4, old, new), error);
+    }
+    assert!(refused(v4, "[light]", "[lihgt]").contains("did you mean `light`"));
+    assert!(parsed("").is_err());
+    let named = Board::load("matek-f405").unwrap_err().to_string();
+    assert!(named.contains("did you mean `matek-f405-te`"), "{named}");
+}
+
+/// Any two boards' timers find streams, and what can't be is said by name.
+#[test]
+fn streams_are_given_away_once() {
+    let need = |who: &str, choice: &[(u8, u8)]| chip::Need {
+        who: who.into(),
+        choice: choice
+            .iter()
+            .map(|&(controller, number)| Stream { controller, number, channel: 0 })
+            .collect(),
+    };
+    let numbers = |needs: &[chip::Need]| {
+        chip::assign(needs)
+            .map(|streams| streams.iter().map(|s| (s.controller, s.number)).collect::<Vec<_>>())
+    };
+    // The first one gives way.
+    let flexible = need("a", &[(1, 1), (1, 7)]);
+    assert_eq!(numbers(&[flexible.clone(), need("b", &[(1, 1)])]), Ok(vec![(1, 7), (1, 1)]));
+    let both = [need("SPI3 receive", &[(1, 2)]), need("TIM3 update", &[(1, 2)])];
+    assert_eq!(numbers(&both), Err("DMA1 stream 2 is needed by SPI3 receive and by TIM3 update".into()));
+    // All motor timers at once, with the inertial sensor.
+    let all: Vec<chip::Need> =
+        chip::spi1().into_iter().chain(chip::timers().into_iter().map(chip::update_of)).collect();
+    let streams = numbers(&all).unwrap();
+    let distinct: std::collections::BTreeSet<_> = streams.iter().collect();
+    assert_eq!(distinct.len(), all.len());
+}

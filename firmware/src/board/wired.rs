@@ -1,0 +1,368 @@
+//! A flight board, as its file `boards/NAME.toml` has it: `KESTREL_BOARD` names it at build time.
+//!
+//! The file becomes the module [`wiring`] (`firmware/build.rs`, `board/`): constants of pins, timers and streams, the
+//! peripherals by what they are for, and the handlers of those interrupts whose vectors depend on the board. Here is what all
+//! flight boards have in common. `docs/hardware.md` has their pins, and how to wire the rest.
+
+use cortex_m::peripheral::NVIC;
+use cortex_m::peripheral::syst::SystClkSource;
+use cortex_m::singleton;
+use embedded_hal::spi::MODE_3;
+use flight_core::arming::MotorPermit;
+use flight_core::calibration::Sensitivity;
+use flight_core::esc::protocol::{Protocol, STOP_US};
+use flight_core::sample::MagSample;
+use flight_core::{Config, Params};
+use receiver::search::Search;
+use stm32f4xx_hal::gpio::{self, Edge, Speed};
+use stm32f4xx_hal::pac::{self, Interrupt, interrupt};
+use stm32f4xx_hal::prelude::*;
+use stm32f4xx_hal::rcc::{self, Enable};
+use stm32f4xx_hal::spi::Spi;
+use stored_config::board::{Refused, read_for_board};
+use stored_config::{DecodeError, MAX_RECORD};
+use tasks::sampling::{self, Next};
+use tasks::tally::TALLY;
+use tasks::{OVERDUE_US, PERIOD_US};
+
+use super::{Board, SENSE_PRIORITY, WAKE_FLIGHT, listen};
+use crate::fault;
+use crate::light::Light;
+use crate::stm32f405::burst::{self, ImuBus, ImuSpi};
+use crate::stm32f405::bus::{self, Bus};
+use crate::stm32f405::esc::{Lines, Sent};
+use crate::stm32f405::port::{self, Bytes, Port};
+use crate::stm32f405::power::{self, Failure};
+use crate::stm32f405::reset::Cause;
+use crate::stm32f405::{deadline, esc};
+
+pub use crate::light::Light as Monitor;
+pub use crate::stm32f405::deadline::{Wait, now_us};
+pub use crate::stm32f405::reset::Watchdog;
+pub use crate::stm32f405::supply::Supply;
+
+/// What the build has made of the board's file.
+mod wiring {
+    use flight_core::geometry::{Mat3, vec3};
+    use stm32f4xx_hal::dma::{self, traits::DMASet};
+    use stm32f4xx_hal::gpio::{self, PinState};
+    use stm32f4xx_hal::pac::{self, Interrupt, interrupt};
+    use stm32f4xx_hal::prelude::*;
+    use stm32f4xx_hal::rcc::{Enable, Rcc, Reset};
+    use stm32f4xx_hal::timer::DMAR;
+
+    use crate::stm32f405::dma::Stream;
+    use crate::stm32f405::esc::{Pad, Timer};
+    use crate::stm32f405::pin::Pin;
+    use crate::stm32f405::{burst, bus, port};
+
+    /// Compiles only if the chip has this signal at this pin.
+    const fn fits<PIN, SIGNAL: From<PIN>>() {}
+
+    /// Compiles only if the chip connects this peripheral to this stream and channel.
+    const fn served<PERIPHERAL, STREAM, const CHANNEL: u8, DIRECTION>()
+    where
+        PERIPHERAL: DMASet<STREAM, CHANNEL, DIRECTION>,
+    {
+    }
+
+    /// The data-ready line has risen.
+    fn data_ready() {
+        super::data_ready();
+    }
+
+    /// The receiver's port has a byte.
+    fn receive() {
+        super::port::take_byte::<super::OnBoard>();
+    }
+
+    include!(concat!(env!("OUT_DIR"), "/wiring.rs"));
+}
+
+/// The board's name.
+pub const NAME: &str = wiring::TITLE;
+
+/// The wiring, for those that are told by a type.
+pub struct OnBoard;
+
+impl burst::Wired for OnBoard {
+    const IMU: burst::Wiring = wiring::IMU;
+}
+
+impl bus::Wired for OnBoard {
+    const COMPASS: bus::Wiring = wiring::COMPASS;
+}
+
+impl port::Wired for OnBoard {
+    const RECEIVER: port::Wiring = wiring::RECEIVER;
+}
+
+/// What the ESCs are driven with: as the vehicle's file says, or the variable `KESTREL_ESC` at build time
+/// (`docs/hardware.md`).
+const ESC: Protocol = {
+    let name = match option_env!("KESTREL_ESC") {
+        None => env!("KESTREL_VEHICLE_ESC"),
+        Some(name) => name,
+    };
+    match name.as_bytes() {
+        b"pwm" => Protocol::Pwm { rate_hz: 400.0 },
+        b"oneshot125" => Protocol::OneShot125,
+        b"dshot300" => Protocol::DShot300,
+        b"dshot600" => Protocol::DShot600,
+        _ => panic!("KESTREL_ESC is pwm, oneshot125, dshot300 or dshot600"),
+    }
+};
+
+const LINES: Lines = Lines::new(
+    esc::Outputs {
+        timers: &wiring::TIMERS,
+        pads: &wiring::PADS,
+        enable: wiring::enable_motor_timers,
+        reset: wiring::reset_motor_timers,
+    },
+    ESC,
+);
+
+/// The vehicle's configuration as a record, made of its file at build time (`build.rs`). Its name is for those who read
+/// the image.
+#[unsafe(no_mangle)]
+#[used]
+static KESTREL_VEHICLE: [u8; VEHICLE.len()] = *VEHICLE;
+const VEHICLE: &[u8; include_bytes!(concat!(env!("OUT_DIR"), "/vehicle.bin")).len()] =
+    include_bytes!(concat!(env!("OUT_DIR"), "/vehicle.bin"));
+
+unsafe extern "C" {
+    /// The parameter sectors (memory.x): flash, which nothing in this image writes to.
+    safe static STORED_CONFIG: [u8; MAX_RECORD];
+}
+
+/// What the board has: datasheet sensitivities, and the inertial sensor turned as it is soldered.
+fn params() -> Params {
+    let mut params = Params::default();
+    params.gyro = Sensitivity { mounting: wiring::IMU_MOUNTING, ..params.gyro };
+    params.accel = Sensitivity { mounting: wiring::IMU_MOUNTING, ..params.accel };
+    params
+}
+
+/// The stored configuration; without one that is sound, that of the vehicle's file without a calibration, which does not
+/// arm.
+///
+/// A function of its own, so that what it takes of the stack is free again when the rest of the board is brought up.
+#[inline(never)]
+fn config() -> Config {
+    let params = params();
+    match read_for_board(&STORED_CONFIG, &params) {
+        Ok(config) => {
+            defmt::info!("configuration: stored, calibrated {=bool}", config.calibration.is_some());
+            config
+        }
+        Err(refused) => {
+            let (what, field) = refused.text();
+            if refused == Refused::Record(DecodeError::Empty) {
+                defmt::warn!("configuration: {=str}, flying needs one", what);
+            } else {
+                defmt::error!("stored configuration refused: {=str}{=str}", what, field);
+            }
+            defmt::info!("configuration: vehicle {=str}", env!("KESTREL_VEHICLE_NAME"));
+            // The build has seen to it that it is one.
+            read_for_board(&KESTREL_VEHICLE, &params).unwrap_or(Config { params, calibration: None })
+        }
+    }
+}
+
+/// Brings the board up: the motor pads low, the watchdog, clocks, the stop on the outputs, then everything else.
+pub fn init(mut core: cortex_m::Peripherals, device: pac::Peripherals) -> Board {
+    // The pads float after a reset, and what an ESC makes of that is its affair. The pull-downs stay for ever: a timer
+    // that is being set up anew does not drive its pads.
+    let (mut rcc, parts) = wiring::sort(device);
+    LINES.pull_pads_down();
+
+    let watchdog = Watchdog::start(parts.iwdg);
+    power::wait_for_supply(&parts.pwr, &mut rcc);
+    let clocks = rcc::Config::hse(wiring::CRYSTAL_MHZ.MHz());
+    let clocks = clocks.sysclk(168.MHz()).hclk(168.MHz()).pclk1(42.MHz()).pclk2(84.MHz());
+    let mut rcc = rcc.freeze(clocks);
+    power::watch_crystal(&mut rcc);
+    let reset = Cause::take(&mut rcc);
+
+    // SAFETY: nobody has used the timers before.
+    unsafe { wiring::enable_motor_timers() };
+    LINES.start();
+    LINES.connect_pads();
+
+    // While a debug probe halts the core, the timers stand, and without frames or pulses an ESC stops its motor. A pad
+    // that is high then stays high until the core goes on (docs/hardware.md). The watchdog waits. And the probe can
+    // read the log while the core sleeps.
+    wiring::hold_motor_timers_in_debug_halts(&parts.dbgmcu);
+    parts.dbgmcu.apb1_fz().modify(|_, w| w.dbg_iwdg_stop().set_bit());
+    parts.dbgmcu.cr().modify(|_, w| w.dbg_sleep().set_bit());
+
+    let light = parts.light.map(|pin| pin.into_push_pull_output_in_state(!wiring::LIT).erase());
+    let light = Light::new(light, wiring::LIT);
+    deadline::start(parts.tim5, &mut rcc);
+
+    if let Some(failure) = Failure::take() {
+        defmt::error!("before the reset the motors were stopped: {=str}", failure.name());
+    }
+    if power::brown_out_reset_is_off(&parts.flash) {
+        defmt::warn!("the brown-out reset is not set");
+    }
+
+    let pins = (
+        Some(parts.imu_sck.into_alternate().speed(Speed::High)),
+        Some(parts.imu_miso.into_alternate()),
+        Some(parts.imu_mosi.into_alternate().speed(Speed::High)),
+    );
+    // The sensor takes up to 24 MHz; 84 MHz over 8 is 10.5 MHz.
+    let _spi = Spi::new(parts.imu_spi, pins, MODE_3, 10.MHz(), &mut rcc);
+    let _select = parts.imu_select.into_push_pull_output_in_state(gpio::PinState::High);
+    let imu = Imu::new(ImuSpi::new());
+    sampling::claim();
+    pac::DMA2::enable(&mut rcc);
+    let sampler = Sampler::new(ImuBus::new());
+
+    wiring::connect_receiver(parts.receiver_rx, &mut rcc);
+    let bytes = singleton!(: Bytes = Bytes::new()).expect("init runs once");
+    let (apb1, apb2) = (rcc.clocks.pclk1().raw(), rcc.clocks.pclk2().raw());
+    let port = Port::open(bytes, Search::FIRST.line(), [apb1, apb2]);
+    let config = config();
+    let radio = Radio::new(port, config.params.channels);
+
+    parts.battery.into_analog();
+    let supply =
+        Supply::new(parts.adc1, &parts.adc_common, wiring::BATTERY_CHANNEL, wiring::BATTERY_RATIO, &mut rcc);
+    wiring::connect_compass(parts.compass_scl, parts.compass_sda, &mut rcc);
+    let compass = Compass(crate::compass::Compass::new(Bus::new(apb1 / 1_000_000)));
+
+    let mut exti = parts.exti;
+    power::watch_supply(&parts.pwr, &exti, &mut core.NVIC);
+    listen(&mut core.NVIC, wiring::RECEIVER_INTERRUPT, SENSE_PRIORITY);
+    let mut data_ready = parts.imu_ready.into_pull_down_input();
+    data_ready.make_interrupt_source(&mut parts.syscfg.constrain(&mut rcc));
+    data_ready.trigger_on_edge(&mut exti, Edge::Rising);
+    data_ready.enable_interrupt(&mut exti);
+    listen(&mut core.NVIC, wiring::READY_INTERRUPT, SENSE_PRIORITY);
+    deadline::expect_sample_by(now_us().wrapping_add(OVERDUE_US));
+    deadline::raise_interrupt();
+    listen(&mut core.NVIC, Interrupt::TIM5, SENSE_PRIORITY);
+
+    core.SYST.set_clock_source(SystClkSource::Core);
+    core.SYST.set_reload(rcc.clocks.sysclk().raw() / (1_000_000 / PERIOD_US) - 1);
+    core.SYST.clear_current();
+    core.SYST.enable_counter();
+    core.SYST.enable_interrupt();
+
+    Board {
+        config,
+        sampler,
+        imu,
+        outputs: Outputs(()),
+        monitor: light,
+        radio,
+        supply,
+        compass,
+        watchdog,
+        reset_by: reset.name(),
+        watchdog_reset: reset == Cause::Watchdog,
+    }
+}
+
+/// The sensor has a sample.
+#[inline(always)]
+fn data_ready() {
+    // SAFETY: this register's bits are cleared by writing ones, so that nothing else is touched.
+    unsafe { (*pac::EXTI::ptr()).pr().write(|w| w.bits(1 << wiring::READY_LINE)) };
+    let ready_us = now_us();
+    deadline::expect_sample_by(ready_us.wrapping_add(OVERDUE_US));
+    go_on(sampling::ready(ready_us, wiring::IMU.running()));
+}
+
+/// The sensor's next sample is overdue: it is asked for, in case the line is at fault.
+#[interrupt]
+fn TIM5() {
+    // The sample may have come while this waited for its turn.
+    if !deadline::acknowledge() {
+        return;
+    }
+    let overdue_us = now_us();
+    deadline::expect_sample_by(overdue_us.wrapping_add(PERIOD_US));
+    go_on(sampling::poll(overdue_us));
+}
+
+#[inline(always)]
+fn go_on(next: Next) {
+    match next {
+        Next::Burst => wiring::IMU.start(),
+        Next::Flight => NVIC::pend(WAKE_FLIGHT),
+        Next::Stop => fault::stop(),
+    }
+}
+
+/// The inertial sensor, by DMA.
+pub type Sampler = sampling::Sampler<ImuBus<OnBoard>>;
+
+/// Its set-up.
+pub type Imu = crate::imu::Imu<OnBoard>;
+
+/// The receiver.
+pub type Radio = crate::radio::Radio<OnBoard>;
+
+/// The magnetometer.
+pub struct Compass(crate::compass::Compass<Bus<OnBoard>>);
+
+impl Compass {
+    /// The new sample, if there is one.
+    pub fn run(&mut self) -> Option<MagSample> {
+        bus::begin_run();
+        self.0.run(&mut Wait)
+    }
+}
+
+/// The four motor pads.
+pub struct Outputs(());
+
+impl Outputs {
+    /// Sends pulses of rotors 1 to 4. The permit is used up: a step has one, and it moves the motors once.
+    #[inline]
+    pub fn drive(&mut self, permit: MotorPermit, pulses_us: [f32; 4]) {
+        send(permit.apply(pulses_us, STOP_US));
+    }
+
+    /// Sends the stop pulse to all four.
+    #[inline]
+    pub fn stop(&mut self) {
+        send([STOP_US; 4]);
+    }
+}
+
+/// The output map: rotors are counted clockwise from the front left.
+#[inline]
+fn send(pulses_us: [f32; 4]) {
+    match LINES.send(wiring::ROTORS.map(|rotor| pulses_us[rotor])) {
+        Sent::Whole => {}
+        Sent::Dropped => TALLY.outputs_dropped.add(),
+        Sent::Recovered => TALLY.outputs_recovered.add(),
+    }
+}
+
+/// Puts the stop on the motor pads after a fault, in whatever state it has found them. [`crate::stm32f405::esc`] says
+/// how long that takes.
+pub fn stop_after_fault() {
+    // SAFETY: the clocks of ports that nothing else uses any more.
+    unsafe { wiring::enable_motor_ports() };
+    // SAFETY: it is only read.
+    let on_pll = unsafe { &*pac::RCC::ptr() }.cfgr().read().sws().is_pll();
+    if on_pll {
+        LINES.settle();
+        send([STOP_US; 4]);
+    } else {
+        // A fault before the clocks are set up, or the crystal has failed. With this clock nothing can be sent: the
+        // pads are low.
+        LINES.pull_pads_down();
+    }
+}
+
+/// After [`stop_after_fault`]: stays here until the watchdog resets the board, and goes on sending the stop.
+pub fn halt() -> ! {
+    LINES.stop_for_ever()
+}

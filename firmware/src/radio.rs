@@ -1,0 +1,50 @@
+//! The receiver: from the bytes at its port to frames, in whatever protocol it speaks.
+
+use flight_core::rc::ChannelMap;
+use flight_core::sample::RcFrame;
+use receiver::search::Search;
+use tasks::clock::Clock;
+use tasks::tally::TALLY;
+
+use crate::board::now_us;
+use crate::stm32f405::port::{Port, Wired};
+
+/// The receiver at its port.
+pub struct Radio<W> {
+    port: Port<W>,
+    search: Search,
+    clock: Clock,
+    damaged: u32,
+}
+
+impl<W: Wired> Radio<W> {
+    /// A port that has been opened for [`Search::FIRST`].
+    pub fn new(port: Port<W>, channels: ChannelMap) -> Self {
+        Self { port, search: Search::new(channels), clock: Clock::new(), damaged: 0 }
+    }
+
+    /// The next frame that the bytes so far have completed.
+    pub fn poll(&mut self) -> Option<RcFrame> {
+        let now_us = self.clock.at(now_us());
+        while let Some((at_us, received)) = self.port.next() {
+            let found = self.search.found();
+            let frame = self.search.push(received, self.clock.at(at_us));
+            if found.is_none()
+                && let Some(protocol) = self.search.found()
+            {
+                defmt::info!("receiver found: {=str}", protocol.name());
+            }
+            if frame.is_some() {
+                TALLY.rc.add();
+                return frame;
+            }
+        }
+        let damaged = self.search.damaged();
+        TALLY.rc_bad.add_all(damaged.saturating_sub(self.damaged));
+        self.damaged = damaged;
+        if let Some(line) = self.search.next_line(now_us) {
+            self.port.set(line);
+        }
+        None
+    }
+}
