@@ -5,9 +5,9 @@
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;
-use sim_host::allan::model::{Analysed, Provenance, Role, kalibr, preset};
-use sim_host::allan::recording::{Column, Layout, Recording};
-use sim_host::allan::{self, Phase, Statistic, Taus};
+use sim_host::identify::model::{Analysed, Provenance, Role, kalibr, preset};
+use sim_host::identify::recording::{Column, Layout, Recording};
+use allan::{Phase, Statistic, Taus};
 use sim_host::scene::Scene;
 
 /// Statistics over more than this are no parsing any more.

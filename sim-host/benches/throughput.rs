@@ -4,8 +4,8 @@ use divan::counter::ItemsCount;
 use divan::{Bencher, black_box};
 use flight_core::estimator::{Estimator, EstimatorParams};
 use flight_core::geometry::vec3;
+use random::NormalStream;
 use sim_host::flight::Flight;
-use sim_host::random::NormalStream;
 use sim_host::scene::Scene;
 use sim_host::sense;
 

@@ -6,7 +6,7 @@
 
 use std::time::Instant;
 
-use sim_host::allan::{self, Phase, Statistic, Taus, statistic};
+use allan::{Phase, Statistic, Taus, statistic};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let path = std::env::args().nth(1).ok_or("usage: allan_speed SAMPLES.f64")?;

@@ -5,7 +5,6 @@
 #![cfg_attr(test, allow(clippy::disallowed_methods))]
 #![warn(missing_docs)]
 
-pub mod allan;
 pub mod attitude_error;
 pub mod campaign;
 pub mod chart;
@@ -17,6 +16,7 @@ pub mod effects;
 pub mod estimate;
 pub mod flight;
 pub mod hil;
+pub mod identify;
 pub mod image;
 pub mod interrupt;
 pub mod log;
@@ -24,7 +24,6 @@ pub mod output_file;
 pub mod paper;
 pub mod pilot;
 pub mod plan;
-pub mod random;
 pub mod report;
 pub mod scene;
 pub mod sense;

@@ -4,8 +4,8 @@ use std::fmt::Write as _;
 use std::path::Path;
 use std::process::{Command, Output};
 
+use random::NormalStream;
 use serde_json::Value;
-use sim_host::random::NormalStream;
 use sim_host::scene::Scene;
 
 fn sim_host(arguments: &[&str], directory: &Path) -> Output {
@@ -351,8 +351,8 @@ fn a_record_with_temperature_in_other_units_and_names_is_taken() {
 /// Table 2 through the sensor model and back: each run within 3.5 %, the mean of 20 within 1 %.
 #[test]
 fn a_simulated_hour_with_table_2_reads_back() {
+    use allan::{Phase, Statistic, Taus};
     use flight_core::geometry::Vec3;
-    use sim_host::allan::{self, Phase, Statistic, Taus};
     use sim_host::dynamics::Vehicle;
     use sim_host::effects::Moment;
 

@@ -5,13 +5,14 @@ use std::io::Write as _;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
+use allan::statistic::estimate_s;
+use allan::{Coefficient, Found, Phase, Point, Statistic, Taus};
 use clap::ValueEnum;
 use input::InputError;
 use serde_json::{Map, Value, json};
-use sim_host::allan::model::{self, Analysed, Provenance, Role};
-use sim_host::allan::recording::{Column, Layout, Recording};
-use sim_host::allan::statistic::estimate_s;
-use sim_host::allan::{self, Coefficient, Found, Phase, Point, Statistic, Taus, plot};
+use sim_host::identify::model::{self, Analysed, Provenance, Role};
+use sim_host::identify::plot;
+use sim_host::identify::recording::{Column, Layout, Recording};
 use sim_host::output_file::{OutputFile, spare};
 
 use super::{Answer, progress};

@@ -2,11 +2,11 @@
 
 use flight_core::geometry::Vec3;
 
-use crate::allan::{self, Fit, Phase, Point, Statistic, Taus};
 use crate::dynamics::{GRAVITY, Vehicle};
 use crate::effects::Moment;
 use crate::scene::Scene;
 use crate::sensors::Sensor;
+use allan::{Fit, Phase, Point, Statistic, Taus};
 use input::InputError;
 
 /// Level and at rest.

@@ -6,11 +6,12 @@ use flight_core::prefilter::{Biquad, Prefilter};
 
 use super::bench::{self, GRAVITY_UP};
 use super::{Exhibit, numbers};
-use crate::allan::{Coefficient, Fit, Point, plot};
 use crate::chart::{self, Chart, Panel, Stroke, TIME, colour, log_log};
 use crate::dynamics::{GRAVITY, Vehicle};
 use crate::effects::Moment;
+use crate::identify::plot;
 use crate::scene::Scene;
+use allan::{Coefficient, Fit, Point};
 use input::InputError;
 
 const WIDTH: f64 = 920.0;

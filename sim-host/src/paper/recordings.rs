@@ -7,9 +7,10 @@ use flight_core::geometry::Vec3;
 use super::bench;
 use super::spectrum::density;
 use super::{Exhibit, numbers, tabulated};
-use crate::allan::{Coefficient, Point, plot};
 use crate::chart::{self, Chart, Panel, Stroke, TIME, colour, log_log};
+use crate::identify::plot;
 use crate::log::{AccelSign, Axes, Frame, Log, LogRow};
+use allan::{Coefficient, Point};
 use input::InputError;
 
 /// Rest that is shown, s.

@@ -36,7 +36,7 @@ pub fn density(samples: &[f64], rate_hz: f64) -> Vec<(f64, f64)> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::random::NormalStream;
+    use random::NormalStream;
 
     #[test]
     fn white_noise_has_its_two_sided_density_everywhere() {

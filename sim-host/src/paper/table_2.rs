@@ -2,7 +2,8 @@
 
 use super::bench::{self, GRAVITY_UP};
 use super::{Exhibit, tabulated};
-use crate::allan::{Coefficient, plot::short};
+use crate::identify::plot::short;
+use allan::Coefficient;
 use flight_core::geometry::Vec3;
 use input::InputError;
 

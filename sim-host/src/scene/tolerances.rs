@@ -18,8 +18,8 @@ use serde::Deserialize;
 use super::{Scene, check};
 use crate::effects::sensor::{HardIron, Misalignment, ScaleFactor};
 use crate::effects::vehicle::CgOffset;
-use crate::random::{NormalStream, UniformStream};
 use input::InputError;
+use random::{NormalStream, UniformStream};
 
 /// A bound and a distribution: exactly one of the four keys.
 #[derive(Clone, Copy, Debug, Deserialize)]

@@ -1,11 +1,11 @@
 //! Records so long, so far from zero or so coloured that a plain sum loses what it is to show.
 
+use allan::{Phase, Point, Statistic, Taus, deviations};
 use flight_core::geometry::{Quaternion, Vec3, vec3};
-use sim_host::allan::{Phase, Point, Statistic, Taus, deviations};
+use random::NormalStream;
 use sim_host::dynamics::{State, VehicleParams};
 use sim_host::effects::sensor::AccelBiasInstability;
 use sim_host::effects::{Build, Moment, Recipe};
-use sim_host::random::NormalStream;
 
 /// Overlapping deviations at octaves.
 fn octaves(samples: Vec<f64>, interval_s: f64) -> Vec<Point> {

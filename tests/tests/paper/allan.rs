@@ -3,8 +3,8 @@
 //! The Allan deviation here is written down from its definition, to check with.
 
 use flight_core::geometry::Vec3;
+use random::NormalStreams;
 use sim_host::flight::{Flight, Observer, StepView};
-use sim_host::random::NormalStreams;
 use sim_host::scene::Scene;
 
 use crate::spread::Spread;

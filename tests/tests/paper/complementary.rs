@@ -16,7 +16,7 @@
 use flight_core::STANDARD_GRAVITY;
 use flight_core::estimator::{Estimator, EstimatorParams};
 use flight_core::geometry::{Vec3, vec3};
-use sim_host::random::NormalStreams;
+use random::NormalStreams;
 
 use crate::spread::Spread;
 

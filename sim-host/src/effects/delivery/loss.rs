@@ -7,9 +7,9 @@ use serde::Deserialize;
 
 use super::{BoxedDelivery, Delivery};
 use crate::effects::{Build, Recipe};
-use crate::random::UniformStream;
 use input::InputError;
 use input::check;
+use random::UniformStream;
 
 /// `[effects.imu.dropped_samples]`, `[effects.mag.dropped_samples]`, `[effects.link.loss]`
 #[derive(Clone, Debug, Deserialize)]

@@ -16,9 +16,9 @@ use serde::Deserialize;
 use super::ImuEffect;
 use crate::dynamics::State;
 use crate::effects::{Build, Moment, Recipe};
-use crate::random::{NormalStream, UniformStream};
 use input::InputError;
 use input::check;
+use random::{NormalStream, UniformStream};
 
 /// `[effects.imu.sampling_jitter]`
 #[derive(Clone, Debug, Deserialize)]

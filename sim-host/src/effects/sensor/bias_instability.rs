@@ -33,9 +33,9 @@ use serde::Deserialize;
 
 use super::DEG;
 use crate::effects::{BoxedSensorEffect, Build, Moment, Recipe, SensorEffect};
-use crate::random::NormalStreams;
 use input::InputError;
 use input::check;
+use random::NormalStreams;
 
 /// `[effects.gyro.bias_instability]`
 #[derive(Clone, Debug, Deserialize)]

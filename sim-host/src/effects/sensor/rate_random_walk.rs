@@ -8,9 +8,9 @@ use serde::Deserialize;
 
 use super::DEG;
 use crate::effects::{BoxedSensorEffect, Build, Moment, Recipe, SensorEffect};
-use crate::random::NormalStreams;
 use input::InputError;
 use input::check;
+use random::NormalStreams;
 
 /// `[effects.gyro.rate_random_walk]`
 #[derive(Clone, Debug, Deserialize)]

@@ -8,9 +8,9 @@ use serde::Deserialize;
 use super::DEG;
 use super::constant_bias::Offset;
 use crate::effects::{BoxedSensorEffect, Build, Recipe};
-use crate::random::NormalStreams;
 use input::InputError;
 use input::check;
+use random::NormalStreams;
 
 /// `[effects.gyro.turn_on_bias]`
 #[derive(Clone, Debug, Deserialize)]

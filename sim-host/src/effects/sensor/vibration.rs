@@ -18,9 +18,9 @@ use wide::f64x4;
 use super::DEG;
 use crate::dynamics::{GRAVITY, VehicleParams};
 use crate::effects::{BoxedSensorEffect, Build, Moment, Recipe, SensorEffect};
-use crate::random::{NormalStream, NormalStreams};
 use input::InputError;
 use input::check;
+use random::{NormalStream, NormalStreams};
 
 /// The rotor's own speed and nothing above it.
 fn only_the_first() -> Vec<f64> {

@@ -9,9 +9,9 @@ use serde::Deserialize;
 
 use super::DEG;
 use crate::effects::{BoxedSensorEffect, Build, Moment, Recipe, SensorEffect};
-use crate::random::NormalStreams;
 use input::InputError;
 use input::check;
+use random::NormalStreams;
 
 /// `[effects.gyro.white_noise]`: angle random walk. 1 deg/√h is 1/60 deg/s/√Hz.
 #[derive(Clone, Debug, Deserialize)]

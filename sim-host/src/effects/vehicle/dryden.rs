@@ -32,9 +32,9 @@ use serde::Deserialize;
 
 use super::{VehicleEffect, WindEffect};
 use crate::effects::{Build, Moment, Recipe};
-use crate::random::NormalStream;
 use input::InputError;
 use input::check;
+use random::NormalStream;
 
 /// `[effects.wind.dryden]`
 #[derive(Clone, Debug, Deserialize)]

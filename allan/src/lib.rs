@@ -1,27 +1,32 @@
 //! Allan analysis: how much a sensor's averages over τ still differ, and which errors that shows.
 //!
-//! A team leaves its sensor lying still for an hour, and gets back the figures of its model:
-//!
 //! ```text
-//!  log.csv ──recording──► samples ──phase──► running sums ──statistic──► σ(τ)  with bounds from
-//!     gaps, uneven stamps     mean off, compensated      octave τ, all cores    noise, confidence
-//!     and steps are seen                                      │
-//!                                                             ▼
-//!  my-imu.toml ◄──preset──┬── N, B, K … or why not ◄──fit── σ²(τ) = 3Q²/τ² + N²/τ + 0.44 B² + K²τ/3 + R²τ²/2
-//!  imu.yaml ◄─────kalibr──┤
-//!  plot.svg ◄─────plot────┘
+//!  samples ──phase──► running sums ──statistic──► σ(τ) with bounds from noise and confidence
+//!     mean off, compensated       octave τ, all cores        │
+//!                                                            ▼
+//!        N, B, K … or why not ◄──fit── σ²(τ) = 3Q²/τ² + N²/τ + 0.44 B² + K²τ/3 + R²τ²/2
 //! ```
+//! The units are those of the samples: for a signal in rad/s, N is in rad/s/√Hz, B in rad/s, K in rad/s/√s, Q
+//! in rad, R in rad/s². N² is the two-sided density.
 //!
-//! The units are those of the column: for a signal in rad/s, N is in rad/s/√Hz, B in rad/s, K in rad/s/√s, Q
-//! in rad, R in rad/s². N² is the two-sided density: see [`crate::effects`].
+//! ```
+//! use allan::{Phase, Statistic, Taus, deviations};
+//! let samples: Vec<f64> = (0..1_000).map(|n| f64::from(n * n % 7)).collect();
+//! let phase = Phase::of_rate(samples, 0.01);
+//! # let factors = [1, 2, 4];
+//! for point in deviations(&phase, Statistic::Overlapping, &factors, 1, &|_, _| ()) {
+//!     println!("{} s: {} ({} to {})", point.tau_s, point.deviation, point.lower, point.upper);
+//! }
+//! ```
+#![forbid(unsafe_code)]
+#![warn(missing_docs)]
+// Tests may take the C library's functions as a second opinion: see clippy.toml.
+#![cfg_attr(test, allow(clippy::disallowed_methods))]
 
 pub mod confidence;
 pub mod fit;
-pub mod model;
 pub mod noise;
 pub mod phase;
-pub mod plot;
-pub mod recording;
 pub mod statistic;
 pub mod taus;
 

@@ -5,6 +5,10 @@
 //!
 //! The normal distribution stands here, and not from a crate, because the tails of every published ziggurat
 //! call the C library's `exp` and `ln`, whose last bit depends on the processor. This one uses `libm`.
+#![forbid(unsafe_code)]
+#![warn(missing_docs)]
+// Tests may take the C library's functions as a second opinion: see clippy.toml.
+#![cfg_attr(test, allow(clippy::disallowed_methods))]
 
 use std::sync::OnceLock;
 

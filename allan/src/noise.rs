@@ -53,7 +53,7 @@ fn delta(z: &[f64]) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::random::NormalStream;
+    use random::NormalStream;
 
     #[test]
     fn power_laws_are_told_apart() {

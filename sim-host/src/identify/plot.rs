@@ -1,9 +1,8 @@
 //! The deviations on logarithmic axes: bounds, slopes, coefficients.
 
-use super::Point;
-use super::fit::{Coefficient, Fit, Found};
 use crate::chart::log_log::{Band, Chart, Label, Line, Panel};
 use crate::chart::{Stroke, colour};
+use allan::{Coefficient, Fit, Found, Point};
 
 /// The colour of a coefficient's slope.
 fn colour_of(coefficient: Coefficient) -> &'static str {

@@ -4,7 +4,7 @@ use flight_core::geometry::vec3;
 use flight_core::prefilter::{Biquad, Prefilter};
 
 use super::*;
-use crate::random::NormalStream;
+use random::NormalStream;
 
 fn white(seed: u64, sigma: f64) -> impl FnMut() -> f64 {
     let mut stream = NormalStream::new(seed, "allan", 0);

@@ -209,7 +209,7 @@ fn degrees_of_freedom_and_quantiles_are_those_of_independent_programs() {
 /// A mean of 10⁶ σ: nothing may be lost to it.
 #[test]
 fn a_large_mean_changes_nothing() {
-    use crate::random::NormalStream;
+    use random::NormalStream;
     let mut stream = NormalStream::new(5, "mean", 0);
     let small: Vec<f64> = (0..2_000_000).map(|_| stream.draw()).collect();
     let large = small.iter().map(|y| y + 1e6).collect();
@@ -225,7 +225,7 @@ fn a_large_mean_changes_nothing() {
 
 #[test]
 fn the_result_does_not_depend_on_the_number_of_threads() {
-    use crate::random::NormalStream;
+    use random::NormalStream;
     let mut stream = NormalStream::new(6, "threads", 0);
     let phase = Phase::of_rate((0..2_500_000).map(|_| stream.draw()).collect(), 1.0);
     let factors: Vec<usize> = (1..80).map(|k| k * 37).collect();

@@ -11,8 +11,8 @@
 
 use std::fmt::Write as _;
 
-use super::fit::{Coefficient, Fit, Found};
 use crate::dynamics::GRAVITY;
+use allan::{Coefficient, Fit, Found};
 use input::InputError;
 
 const DEG: f64 = std::f64::consts::PI / 180.0;
