@@ -29,6 +29,12 @@ fn main() {
         }
     }
 
+    // The folder of a build is that of its profile.
+    let flashed = env::var("OUT_DIR").is_ok_and(|out| out.contains("/flash/"));
+    if env::var_os("CARGO_FEATURE_UNWIRED").is_none() && !flashed {
+        println!("cargo::warning=this is not the image that is flashed, which is built with --profile flash");
+    }
+
     println!("cargo::rerun-if-env-changed=RUSTC");
     let compiler = env::var_os("RUSTC").and_then(|path| Path::new(&path).canonicalize().ok());
     if compiler != Path::new(ROOT).join(".cargo/rustc").canonicalize().ok() {

@@ -61,7 +61,16 @@ impl Firmware {
         cargo
             .current_dir(workspace)
             // As the alias flash-fw of .cargo/config.toml, but for `run`.
-            .args(["build", "--release", "--package", "firmware", "--target", TARGET, "--target-dir"])
+            .args([
+                "build",
+                "--profile",
+                "flash",
+                "--package",
+                "firmware",
+                "--target",
+                TARGET,
+                "--target-dir",
+            ])
             .arg(&target)
             // These would replace the link arguments of .cargo/config.toml.
             .env_remove("RUSTFLAGS")
@@ -77,7 +86,7 @@ impl Firmware {
         if !status.success() {
             return Err(refused("the image does not build".into()));
         }
-        Self::read(&target.join(TARGET).join("release/firmware"))
+        Self::read(&target.join(TARGET).join("flash/firmware"))
     }
 
     /// Reads an image.

@@ -132,15 +132,22 @@ fn presets(names: &[String]) -> Result<Vec<(&'static str, EstimatorParams)>, Inp
 
 /// One row as the flight code sees it: rad/s, m/s², µT, body axes, prefiltered.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Sample {
-    pub(crate) gyro: Vec3<f32>,
-    pub(crate) accel: Vec3<f32>,
-    pub(crate) mag: Option<Vec3<f32>>,
+pub struct Sample {
+    /// Rates, rad/s.
+    pub gyro: Vec3<f32>,
+    /// Specific force, m/s².
+    pub accel: Vec3<f32>,
+    /// Field, µT, in the rows that have it.
+    pub mag: Option<Vec3<f32>>,
     /// Time since the sample before, s.
-    pub(crate) dt_s: f32,
+    pub dt_s: f32,
 }
 
-pub(crate) fn samples(log: &Log, request: &Request) -> Result<Vec<Sample>, InputError> {
+/// A log's rows as the flight code sees them.
+///
+/// # Errors
+/// A prefilter that the log's rate does not allow.
+pub fn samples(log: &Log, request: &Request) -> Result<Vec<Sample>, InputError> {
     let mag_rows = log.rows.iter().filter(|row| row.mag_ut.is_some());
     let mut gyro_filter = prefilter(request, "gyroscope", log.rows.iter().map(|row| row.time_s))?;
     let mut accel_filter = prefilter(request, "accelerometer", log.rows.iter().map(|row| row.time_s))?;
@@ -190,13 +197,14 @@ fn prefilter(
 }
 
 /// What the gyroscope read before anything moved.
-pub(crate) struct GyroAtRest {
+pub struct GyroAtRest {
     /// The bias as it was known at each sample up to the first motion, rad/s.
     biases: Vec<Vec3<f32>>,
 }
 
 impl GyroAtRest {
-    pub(crate) fn learn(samples: &[Sample]) -> Self {
+    /// Learns from the samples up to the first motion.
+    pub fn learn(samples: &[Sample]) -> Self {
         let mut zero = GyroZero::default();
         let mut biases = Vec::new();
         for sample in samples {
@@ -211,7 +219,7 @@ impl GyroAtRest {
     }
 
     /// The samples less the bias as it was known at each.
-    pub(crate) fn zero(&self, samples: &[Sample]) -> Vec<Sample> {
+    pub fn zero(&self, samples: &[Sample]) -> Vec<Sample> {
         let last = self.biases.last().copied().unwrap_or(Vec3::ZERO);
         let biases = self.biases.iter().copied().chain(std::iter::repeat(last));
         samples.iter().zip(biases).map(|(s, bias)| Sample { gyro: s.gyro - bias, ..*s }).collect()

@@ -24,7 +24,7 @@ mod trace;
 use std::io::Write as _;
 use std::path::Path;
 
-pub(crate) use page::STYLE;
+pub use page::STYLE;
 pub use page::page;
 pub use recorder::{Channel, Recorder};
 

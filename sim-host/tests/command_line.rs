@@ -68,7 +68,7 @@ fn cases() -> Vec<Case> {
             "[flight]",
             "[vehicle]\nmass = 650.0\n[flight]",
             "bad.toml:10: unknown field `mass`, expected one of `description`, `mass_g`, `cells`, `feet_mm`, `inertia`, \
-             `rotors`, `drag`, `esc`, `gains`, `rates`, `filters`, `battery`, `radio` (did you mean `mass_g`?)",
+             `rotors`, `drag`, `esc`, `gains`, `rates`, `filters`, `battery`, `radio`, `mounting` (did you mean `mass_g`?)",
         ),
         scene(
             "a cutoff above Nyquist",

@@ -67,7 +67,17 @@ fn build(folder: &Path, home: &Path) -> Vec<u8> {
     let mut command = cargo();
     command
         .current_dir(folder)
-        .args(["build", "--release", "--package", "firmware", "--target", TARGET, "--offline", "--quiet"])
+        .args([
+            "build",
+            "--profile",
+            "flash",
+            "--package",
+            "firmware",
+            "--target",
+            TARGET,
+            "--offline",
+            "--quiet",
+        ])
         .env("RUSTUP_HOME", place("RUSTUP_HOME", ".rustup"))
         .env("HOME", home)
         .env("CARGO_HOME", cargo_home);
@@ -76,7 +86,7 @@ fn build(folder: &Path, home: &Path) -> Vec<u8> {
         command.env_remove(variable);
     }
     run(&mut command);
-    fs::read(folder.join("target").join(TARGET).join("release/firmware")).unwrap()
+    fs::read(folder.join("target").join(TARGET).join("flash/firmware")).unwrap()
 }
 
 #[test]

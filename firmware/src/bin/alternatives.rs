@@ -1,5 +1,5 @@
 //! Counts what the flight code's alternatives take on QEMU's Cortex-M4F, beside the flight code itself: see the
-//! module `gauge`, and the figures in `sim-host/src/cost/m4.toml`.
+//! module `gauge`, and the figures in `studies/src/cost/m4.toml`.
 //!
 //! Everything here is called out of line, and a count has the call in it: "call alone" is a function that returns
 //! its argument. Where a caller would inline a function and share its constants, it takes less: `sin_cos` 35

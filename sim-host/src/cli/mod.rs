@@ -3,13 +3,12 @@
 mod allan;
 mod campaign;
 mod config;
-mod cost;
 mod fly;
 mod hil;
 mod listing;
-mod paper;
 mod progress;
 mod recordings;
+mod studies;
 mod vehicle;
 
 use std::num::{NonZeroU16, NonZeroU32};
@@ -18,17 +17,9 @@ use std::process::ExitCode;
 
 use clap::{Parser, Subcommand, ValueEnum};
 use input::InputError;
-use serde_json::Value;
 use sim_host::campaign::Shard;
-use sim_host::{interrupt, log, output_file};
-
-/// Where recordings are looked for: the directory that the tests take theirs from.
-const RECORDINGS: &str = "KESTREL_DATA";
-
-/// Exit code of a flight or a check that failed.
-const FAILED: u8 = 1;
-/// Exit code of bad input or usage; clap's own for usage.
-const BAD_INPUT: u8 = 2;
+use sim_host::command::{Answer, conclude};
+use sim_host::{interrupt, log};
 
 #[derive(Parser)]
 #[command(name = "sim-host", version, about = "The world that Kestrel's flight code flies in", long_about = None)]
@@ -58,9 +49,9 @@ enum Command {
     /// Show what a scene simulates, in order, what it leaves out, and what each effect costs
     Plan(PlanArguments),
     /// Show what accuracy costs in time: error against cost, over the settings of each part
-    Cost(cost::CostArguments),
+    Cost(studies::Passed),
     /// Make the paper's tables and figures again, on one page with the numbers beside it
-    Paper(paper::PaperArguments),
+    Paper(studies::Passed),
     /// Write a scene's configuration of the flight controller as the record that a flight board reads at start
     Config(ConfigArguments),
     /// Show what a vehicle file means: what follows from it, its loops, what to look after; and propose gains
@@ -269,13 +260,6 @@ impl From<SignName> for log::AccelSign {
     }
 }
 
-/// What a command found, in both forms.
-struct Answer {
-    json: Value,
-    text: String,
-    failed: bool,
-}
-
 /// Runs the program.
 pub fn run() -> ExitCode {
     let arguments = Arguments::parse();
@@ -288,28 +272,13 @@ pub fn run() -> ExitCode {
         Command::Estimate(a) => recordings::estimate(a),
         Command::Allan(a) => allan::run(a),
         Command::Plan(a) => listing::plan(a),
-        Command::Cost(a) => cost::run(a),
-        Command::Paper(a) => paper::run(a),
+        Command::Cost(a) => return studies::run("cost", a, arguments.json),
+        Command::Paper(a) => return studies::run("paper", a, arguments.json),
         Command::Config(a) => config::run(a),
         Command::Vehicle(a) => vehicle::run(a),
         Command::Scenes => listing::scenes(),
     };
-    match answer {
-        Ok(answer) => {
-            let line = if arguments.json { answer.json.to_string() } else { answer.text };
-            match output_file::print(line.trim_end()) {
-                Ok(()) if answer.failed => ExitCode::from(FAILED),
-                Ok(()) => ExitCode::SUCCESS,
-                Err(error) => refuse(&error),
-            }
-        }
-        Err(error) => refuse(&error),
-    }
-}
-
-fn refuse(error: &InputError) -> ExitCode {
-    eprintln!("error: {error}");
-    ExitCode::from(BAD_INPUT)
+    conclude(answer, arguments.json)
 }
 
 /// The scene of an argument, with its overrides.

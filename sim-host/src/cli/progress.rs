@@ -1,14 +1,8 @@
 //! Progress bars, on standard error and only on a terminal.
 
-use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use indicatif::ProgressBar;
+pub use sim_host::command::progress_bar as bar;
 use sim_host::flight::{Observer, StepView};
-
-/// A bar for this many of something.
-pub fn bar(length: u64, what: &str) -> ProgressBar {
-    let bar = ProgressBar::with_draw_target(Some(length), ProgressDrawTarget::stderr());
-    let style = ProgressStyle::with_template("{msg} {wide_bar} {percent:>3} %  {eta} left");
-    bar.with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar())).with_message(what.to_owned())
-}
 
 /// A bar over the seconds of a flight.
 pub struct FlightProgress {

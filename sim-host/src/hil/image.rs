@@ -49,7 +49,7 @@ pub fn build(feature: &str) -> Result<PathBuf, InputError> {
     let mut cargo = Command::new(std::env::var_os("CARGO").as_deref().unwrap_or(OsStr::new("cargo")));
     cargo
         .current_dir(&workspace)
-        .args(["build", "--release", "--package", "firmware", "--target", TARGET])
+        .args(["build", "--profile", "flash", "--package", "firmware", "--target", TARGET])
         .args(["--no-default-features", "--features", feature, "--target-dir"])
         .arg(&target)
         // These would replace the link arguments of .cargo/config.toml.
@@ -62,5 +62,5 @@ pub fn build(feature: &str) -> Result<PathBuf, InputError> {
     if !status.success() {
         return Err(refused("the image does not build".into()));
     }
-    check(&target.join(TARGET).join("release/firmware"))
+    check(&target.join(TARGET).join("flash/firmware"))
 }

@@ -13,7 +13,8 @@ use crate::flight::Outcome;
 use crate::pilot::{Base, FRAME_RATE_HZ, PilotScript, Plan};
 use crate::scene::{DEFAULT_RATE_HZ, MAG_RATE_HZ, Scene};
 
-pub(crate) const STYLE: &str = include_str!("style.css");
+/// The style of the pages.
+pub const STYLE: &str = include_str!("style.css");
 
 /// The page of a flight of `scene` with `seed`.
 pub fn page(scene: &Scene, seed: u64, outcome: &Outcome, recorder: &Recorder) -> String {

@@ -1,4 +1,4 @@
-//! The figures of `sim-host/src/cost/m4.toml`, measured anew.
+//! The figures of `studies/src/cost/m4.toml`, measured anew.
 //!
 //! Instructions are means over a figure's inputs, of calls out of line. Flash is the code of the function that is
 //! called and of all that it calls, in full even where others use it too, with the numbers that stand in it:
@@ -16,7 +16,7 @@ use crate::program::Program;
 use crate::{alternatives_image, board_image, fresh_directory, run, workspace};
 
 /// Where it is.
-const FILE: &str = "sim-host/src/cost/m4.toml";
+const FILE: &str = "studies/src/cost/m4.toml";
 
 /// How far a figure may rise before the test fails, and fall before it says so: this share of it,
 const TOLERANCE: f64 = 0.05;

@@ -152,7 +152,7 @@ fn board_image(name: &str) -> PathBuf {
 fn alternatives_image() -> PathBuf {
     let features = ["--no-default-features", "--features", "alternatives", "--bin", "alternatives"];
     let target = ["--target", "thumbv7em-none-eabihf"];
-    build(&[&["build", "--release", "--package", "firmware"], &target[..], &features].concat())
+    build(&[&["build", "--profile", "flash", "--package", "firmware"], &target[..], &features].concat())
         .join("alternatives")
 }
 
@@ -171,7 +171,7 @@ fn build(arguments: &[&str]) -> PathBuf {
         .status()
         .expect("cargo runs");
     assert!(status.success(), "the image does not build");
-    target.join("thumbv7em-none-eabihf/release")
+    target.join("thumbv7em-none-eabihf/flash")
 }
 
 fn workspace() -> &'static Path {

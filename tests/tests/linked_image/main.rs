@@ -306,7 +306,7 @@ fn built_image(log: &str, features: &[&str]) -> Image {
     let target = Path::new(env!("CARGO_TARGET_TMPDIR")).join("linked-image");
     let status = Command::new(env::var_os("CARGO").as_deref().unwrap_or(OsStr::new("cargo")))
         .current_dir(Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap())
-        .args(["build", "--release", "--package", "firmware", "--target", "thumbv7em-none-eabihf"])
+        .args(["build", "--profile", "flash", "--package", "firmware", "--target", "thumbv7em-none-eabihf"])
         .args(features)
         .arg("--target-dir")
         .arg(&target)
@@ -317,5 +317,5 @@ fn built_image(log: &str, features: &[&str]) -> Image {
         .status()
         .expect("cargo runs");
     assert!(status.success(), "the image does not build");
-    Image::read(&target.join("thumbv7em-none-eabihf/release/firmware"))
+    Image::read(&target.join("thumbv7em-none-eabihf/flash/firmware"))
 }

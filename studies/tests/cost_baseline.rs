@@ -1,15 +1,15 @@
-//! What accuracy costs, held against `tests/cost_baseline.toml`: no setting loses accuracy or gains instructions
+//! What accuracy costs, held against `studies/tests/cost_baseline.toml`: no setting loses accuracy or gains instructions
 //! unnoticed, and what Kestrel does by itself is on the Pareto front.
 //!
 //! The errors are computed, not timed, and are the same on every machine. To write the file anew after a
-//! change: `KESTREL_WRITE_DOCS=1 cargo test -p tests --test cost_baseline`.
+//! change: `KESTREL_WRITE_DOCS=1 cargo test -p studies --test cost_baseline`.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::path::Path;
 use std::sync::LazyLock;
 
-use sim_host::cost::{self, Options, Setting, Study, on_front};
+use studies::cost::{self, Options, Setting, Study, on_front};
 
 /// How much of its error a setting may gain. Nothing in it is random; a change of rounding moves it less.
 const ERROR: f64 = 0.02;
@@ -49,7 +49,7 @@ fn number(value: f64) -> String {
 fn text(baseline: &Baseline) -> String {
     let mut text = String::from(
         "# Errors of the settings that `sim-host cost --quick` compares, and their instructions on the Cortex-M4F.\n\
-         # Written by a test, which says how: tests/tests/cost_baseline.rs.\n",
+         # Written by a test, which says how: studies/tests/cost_baseline.rs.\n",
     );
     for (study, settings) in baseline {
         writeln!(text, "\n[{study}]").unwrap();
@@ -65,7 +65,7 @@ fn text(baseline: &Baseline) -> String {
 #[test]
 fn no_setting_loses_accuracy_or_gains_instructions() {
     let measured = measured();
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("cost_baseline.toml");
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/cost_baseline.toml");
     if std::env::var_os("KESTREL_WRITE_DOCS").is_some() {
         return std::fs::write(&path, text(&measured)).unwrap();
     }

@@ -6,13 +6,13 @@ use flight_core::prefilter::{Biquad, Prefilter};
 
 use super::bench::{self, GRAVITY_UP};
 use super::{Exhibit, numbers};
-use crate::chart::{self, Chart, Panel, Stroke, TIME, colour, log_log};
-use crate::dynamics::{GRAVITY, Vehicle};
-use crate::effects::Moment;
-use crate::identify::plot;
-use crate::scene::Scene;
 use allan::{Coefficient, Fit, Point};
 use input::InputError;
+use sim_host::chart::{self, Chart, Panel, Stroke, TIME, colour, log_log};
+use sim_host::dynamics::{GRAVITY, Vehicle};
+use sim_host::effects::Moment;
+use sim_host::identify::plot;
+use sim_host::scene::Scene;
 
 const WIDTH: f64 = 920.0;
 const DEG: f64 = std::f64::consts::PI / 180.0;

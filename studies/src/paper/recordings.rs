@@ -7,11 +7,11 @@ use flight_core::geometry::Vec3;
 use super::bench;
 use super::spectrum::density;
 use super::{Exhibit, numbers, tabulated};
-use crate::chart::{self, Chart, Panel, Stroke, TIME, colour, log_log};
-use crate::identify::plot;
-use crate::log::{AccelSign, Axes, Frame, Log, LogRow};
 use allan::{Coefficient, Point};
 use input::InputError;
+use sim_host::chart::{self, Chart, Panel, Stroke, TIME, colour, log_log};
+use sim_host::identify::plot;
+use sim_host::log::{AccelSign, Axes, Frame, Log, LogRow};
 
 /// Rest that is shown, s.
 const REST_S: f64 = 20.0;

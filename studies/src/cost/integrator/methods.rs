@@ -3,7 +3,7 @@
 use flight_core::geometry::{Quaternion, Vec3, vec3};
 use ode_solvers::{Dopri5, OutputType, SVector, System};
 
-use crate::dynamics::State;
+use sim_host::dynamics::State;
 
 /// What moves: accelerations of a body.
 pub trait Motion {
@@ -17,7 +17,7 @@ pub enum Fixed {
     /// Rates first, then place and attitude with the new ones; the attitude by the exact rotation.
     SemiImplicitEuler,
     /// The classical Runge-Kutta method on the components of the quaternion, which is normalised after each
-    /// step: what [`crate::dynamics`] does.
+    /// step: what [`sim_host::dynamics`] does.
     Rk4,
     /// The same tableau on the rotation vector of the step (Munthe-Kaas 1998): the attitude never leaves the
     /// unit quaternions.

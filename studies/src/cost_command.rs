@@ -4,10 +4,12 @@ use std::io::Write as _;
 use std::path::PathBuf;
 
 use input::InputError;
-use sim_host::cost::{self, Options};
 use sim_host::output_file::OutputFile;
+use studies::cost::{self, Options};
 
-use super::{Answer, RECORDINGS, progress};
+use sim_host::command::{Answer, progress_bar};
+
+use super::RECORDINGS;
 
 #[derive(clap::Args)]
 pub struct CostArguments {
@@ -38,7 +40,7 @@ pub fn run(arguments: &CostArguments) -> Result<Answer, InputError> {
 
     let recordings = std::env::var_os(RECORDINGS).filter(|path| !path.is_empty()).map(PathBuf::from);
     let options = Options { quick: arguments.quick, timed: true, recordings };
-    let bar = progress::bar(1000, "cost");
+    let bar = progress_bar(1000, "cost");
     let studies = cost::run(&arguments.studies, &options, &|study, part| {
         bar.set_message(study.to_owned());
         bar.set_position((1000.0 * part) as u64);

@@ -4,8 +4,8 @@ use std::fmt::Write as _;
 
 use super::table::{columns, number, shown};
 use super::{Axis, Setting, Study};
-use crate::chart::log_log::{Chart, Label, Line, Panel};
-use crate::chart::{self, Stroke, colour, escaped};
+use sim_host::chart::log_log::{Chart, Label, Line, Panel};
+use sim_host::chart::{self, Stroke, colour, escaped};
 
 /// Fits a README and a page, px.
 const WIDTH: f64 = 900.0;
@@ -115,7 +115,7 @@ pub fn page(studies: &[Study]) -> String {
          <p class=\"facts\">Grey band and bold: the Pareto front, settings that no other of the same problem beats in \
          error and cost. Black dot and “default”: what Kestrel does unless told otherwise. Errors and instructions are \
          the same in every run; times are this machine's.</p>\n</header>\n",
-        crate::report::STYLE,
+        sim_host::report::STYLE,
         chart::STYLE,
         include_str!("page.css"),
     );

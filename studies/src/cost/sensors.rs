@@ -4,10 +4,10 @@
 //! after the other: how far is the outcome from that of the whole scene, and what does the simulation save?
 
 use super::{Axis, Options, Progress, Setting, Study};
-use crate::flight::Flight;
-use crate::plan;
-use crate::scene::Scene;
 use input::InputError;
+use sim_host::flight::Flight;
+use sim_host::plan;
+use sim_host::scene::Scene;
 
 /// Attitude error over the seeds, ° RMSE.
 fn outcome(scene: &Scene, seeds: u64) -> f64 {

@@ -11,12 +11,12 @@ use flight_core::geometry::Quaternion;
 use flight_core::sample::{Battery, Health, Input};
 
 use super::{Axis, Options, Progress, Setting, Study, m4};
-use crate::attitude_error::{AttitudeError, AttitudeRmse};
-use crate::dynamics::Vehicle;
-use crate::flight::Autopilot;
-use crate::pilot::{FRAME_RATE_HZ, Pilot};
-use crate::scene::{DEFAULT_RATE_HZ, MAG_RATE_HZ, Scene};
 use input::InputError;
+use sim_host::attitude_error::{AttitudeError, AttitudeRmse};
+use sim_host::dynamics::Vehicle;
+use sim_host::flight::Autopilot;
+use sim_host::pilot::{FRAME_RATE_HZ, Pilot};
+use sim_host::scene::{DEFAULT_RATE_HZ, MAG_RATE_HZ, Scene};
 
 /// Steps of the world in a second.
 const WORLD_HZ: u32 = 8000;
@@ -192,7 +192,7 @@ pub fn study(options: &Options, progress: Progress) -> Result<Study, InputError>
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::flight::Flight;
+    use sim_host::flight::Flight;
 
     #[test]
     fn at_the_flights_own_rates_it_is_the_flight() {

@@ -3,7 +3,7 @@
 //! The scene `steps` is flown in closed loop; between its take-off and its landing the commands to the rotors
 //! are written down, and the truth at the start. From there every method integrates the same motion under the
 //! same commands: 16 s with doublets of 30° in roll and in pitch and a yaw pulse. The equations are written
-//! out here once more, apart from [`crate::dynamics`]: a test holds the two against each other.
+//! out here once more, apart from [`sim_host::dynamics`]: a test holds the two against each other.
 //!
 //! The commands change every millisecond, and with them the rotors' accelerations: a step can be no longer,
 //! and an adaptive method has to begin anew at each.
@@ -11,10 +11,10 @@
 use flight_core::geometry::{Quaternion, Vec3, vec3};
 
 use super::methods::{Fixed, Motion, dormand_prince};
-use crate::dynamics::{GRAVITY, State, VehicleParams};
-use crate::flight::{Flight, Observer, STEP_US, StepView};
-use crate::scene::Scene;
 use input::InputError;
+use sim_host::dynamics::{GRAVITY, State, VehicleParams};
+use sim_host::flight::{Flight, Observer, STEP_US, StepView};
+use sim_host::scene::Scene;
 
 /// The scene, and the part of it that is integrated, s.
 const SCENE: &str = "steps";
@@ -180,7 +180,7 @@ impl Motion for Interval<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::attitude_error::AttitudeError;
+    use sim_host::attitude_error::AttitudeError;
 
     fn apart(a: &[State], b: &[State]) -> (f64, f64) {
         assert_eq!(a.len(), b.len());

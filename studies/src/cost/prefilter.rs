@@ -16,8 +16,8 @@ use flight_core::prefilter::{Biquad, Prefilter};
 
 use super::timing::quickest;
 use super::{Axis, Options, Progress, Setting, Study, m4};
-use crate::dynamics::{GRAVITY, VehicleParams};
 use input::InputError;
+use sim_host::dynamics::{GRAVITY, VehicleParams};
 
 /// Samples a second of the sensor.
 const RATE_HZ: f64 = 1000.0;

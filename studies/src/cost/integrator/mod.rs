@@ -7,9 +7,9 @@ pub(super) mod top;
 
 use super::timing::quickest;
 use super::{Axis, Options, Progress, Setting, Study};
-use crate::attitude_error::AttitudeError;
-use crate::dynamics::State;
 use input::InputError;
+use sim_host::attitude_error::AttitudeError;
+use sim_host::dynamics::State;
 
 use methods::{Fixed, dormand_prince};
 use replay::{REFERENCE_STEPS, REFERENCE_TOLERANCE, Replay};

@@ -1,7 +1,7 @@
 //! The study `estimator`: attitude from all three sensors.
 //!
 //! Every estimator gets the same samples: those of a recording, or those that a simulated flight's sensors gave,
-//! calibrated, and through the scene's prefilter but for those that are low-passes themselves, as in flight. As in [`crate::estimate`], `flight` has its gyroscope zeroed at rest, as
+//! calibrated, and through the scene's prefilter but for those that are low-passes themselves, as in flight. As in [`sim_host::estimate`], `flight` has its gyroscope zeroed at rest, as
 //! it has before arming, and the others take it as it is.
 
 use std::hint::black_box;
@@ -17,12 +17,12 @@ use uf_ahrs::{Ahrs, Madgwick, MadgwickParams, Mahony, MahonyParams, Vqf, VqfPara
 
 use super::timing::quickest;
 use super::{Axis, Options, Progress, Setting, Study, m4};
-use crate::attitude_error::{AttitudeError, AttitudeRmse};
-use crate::estimate::{self, GyroAtRest, Request, Sample};
-use crate::flight::{Flight, Observer, StepView};
-use crate::log::{AccelSign, Axes, Frame, Log};
-use crate::scene::Scene;
 use input::InputError;
+use sim_host::attitude_error::{AttitudeError, AttitudeRmse};
+use sim_host::estimate::{self, GyroAtRest, Request, Sample};
+use sim_host::flight::{Flight, Observer, StepView};
+use sim_host::log::{AccelSign, Axes, Frame, Log};
+use sim_host::scene::Scene;
 
 /// Recordings of BROAD (Laidig, Caruso, Cereatti, Seel, *Data* 6(7):72, 2021), and what the plots call them.
 const RECORDINGS: [(&str, &str); 4] = [

@@ -6,7 +6,7 @@ use std::process::{Command, Output};
 use serde_json::Value;
 
 fn cost(arguments: &[&str], directory: &Path) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_sim-host"))
+    Command::new(env!("CARGO_BIN_EXE_studies"))
         .arg("cost")
         .args(arguments)
         .current_dir(directory)

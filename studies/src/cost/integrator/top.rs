@@ -9,7 +9,7 @@ use flight_core::geometry::{Quaternion, Vec3, vec3};
 
 use super::elliptic::{Jacobi, jacobi, quarter_period};
 use super::methods::Motion;
-use crate::dynamics::State;
+use sim_host::dynamics::State;
 
 /// Gauss's rule of five points on ±1: two pairs with their weights, and the weight of the middle.
 const GAUSS: [(f64, f64); 2] =

@@ -13,8 +13,8 @@ use flight_core::geometry::{Quaternion, Vec3, vec3};
 use super::integrator::top::{Top, tops};
 use super::timing::quickest;
 use super::{Axis, Options, Progress, Setting, Study, m4};
-use crate::attitude_error::AttitudeError;
 use input::InputError;
+use sim_host::attitude_error::AttitudeError;
 
 /// Time integrated, s.
 const SECONDS: u32 = 10;

@@ -1,7 +1,7 @@
 //! Makes the pictures of the documentation anew, from flights:
 //!
 //! ```text
-//! cargo run --release -p sim-host --example figures [DIRECTORY]
+//! cargo run --release -p studies --example figures [DIRECTORY]
 //! ```
 //!
 //! They go to `docs/img`, or to the directory given. The same program makes the same bytes. The comparison of
@@ -12,12 +12,12 @@ use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
 use sim_host::chart::{Chart, Line, Mark, Panel, Stroke, TIME, colour, log_log};
-use sim_host::cost::{self, Axis, Options};
 use sim_host::flight::{Flight, Outcome};
 use sim_host::output_file::OutputFile;
 use sim_host::report::figures::{ESTIMATE, TARGET, TRUTH, line, marks, panel};
 use sim_host::report::{Channel, Recorder};
 use sim_host::scene::{BUILT_IN, Scene};
+use studies::cost::{self, Axis, Options};
 
 /// Fits the width of a README, px.
 const WIDTH: f64 = 900.0;

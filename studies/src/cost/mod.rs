@@ -13,7 +13,7 @@
 //! | a cost of its own: group delay, share of the processor | computed | yes |
 //! | ns on this machine | the quickest of several batches | no |
 //!
-//! Errors are computed before anything is timed, and are the same in every run: `tests/cost_baseline.toml`
+//! Errors are computed before anything is timed, and are the same in every run: `studies/tests/cost_baseline.toml`
 //! holds them.
 
 pub mod integrator;

@@ -14,9 +14,9 @@ use std::fmt::Write as _;
 use std::io::Write as _;
 use std::path::Path;
 
-use crate::chart::{self, escaped};
-use crate::output_file::OutputFile;
 use input::InputError;
+use sim_host::chart::{self, escaped};
+use sim_host::output_file::OutputFile;
 
 /// A table or a figure.
 #[derive(Clone, Debug)]
@@ -99,7 +99,7 @@ fn page(made: &Made) -> String {
          simulation and analysis, beside what the paper prints.</p>\n\
          <p class=\"facts\">Every number on this page is in a CSV file beside it. The same program makes the same \
          page, to the byte.</p>\n</header>\n",
-        crate::report::STYLE,
+        sim_host::report::STYLE,
         chart::STYLE,
         "td.n,th.n{text-align:right;font-variant-numeric:tabular-nums;width:auto}\n\
          table.data{width:auto;min-width:60%}\ntable.data th{width:auto;color:#333;font-weight:600}\n\

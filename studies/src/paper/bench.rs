@@ -2,12 +2,12 @@
 
 use flight_core::geometry::Vec3;
 
-use crate::dynamics::{GRAVITY, Vehicle};
-use crate::effects::Moment;
-use crate::scene::Scene;
-use crate::sensors::Sensor;
 use allan::{Fit, Phase, Point, Statistic, Taus};
 use input::InputError;
+use sim_host::dynamics::{GRAVITY, Vehicle};
+use sim_host::effects::Moment;
+use sim_host::scene::Scene;
+use sim_host::sensors::Sensor;
 
 /// Level and at rest.
 pub const GRAVITY_UP: Vec3<f64> = Vec3 { x: 0.0, y: 0.0, z: -GRAVITY };

@@ -2,10 +2,10 @@
 
 use super::bench::{self, GRAVITY_UP};
 use super::{Exhibit, tabulated};
-use crate::identify::plot::short;
 use allan::Coefficient;
 use flight_core::geometry::Vec3;
 use input::InputError;
+use sim_host::identify::plot::short;
 
 const HOUR_S: f64 = 3600.0;
 const RATE_HZ: f64 = 100.0;

@@ -5,9 +5,11 @@ use std::path::PathBuf;
 
 use input::InputError;
 use serde_json::{Value, json};
-use sim_host::paper::{self, Exhibit};
+use studies::paper::{self, Exhibit};
 
-use super::{Answer, RECORDINGS, progress};
+use sim_host::command::{Answer, progress_bar};
+
+use super::RECORDINGS;
 
 #[derive(clap::Args)]
 pub struct PaperArguments {
@@ -19,7 +21,7 @@ pub struct PaperArguments {
 
 pub fn run(arguments: &PaperArguments) -> Result<Answer, InputError> {
     let recordings = std::env::var_os(RECORDINGS).filter(|path| !path.is_empty()).map(PathBuf::from);
-    let bar = progress::bar(100, "paper");
+    let bar = progress_bar(100, "paper");
     let made = paper::make(&arguments.out, recordings.as_deref(), &|percent| bar.set_position(percent))?;
     bar.finish_and_clear();
     let mut text = String::new();
