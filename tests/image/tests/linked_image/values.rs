@@ -4,8 +4,8 @@
 //! an instruction does that is not decoded here, no register is known after. So a value that is given as known is right
 //! on every path, and one that is missing only makes the check refuse more.
 
-use crate::image::Image;
-use crate::thumb::{Condition, LR, PC, SP, bit, expanded_immediate, twelve_bits};
+use image_tests::image::Image;
+use image_tests::thumb::{Condition, LR, PC, SP, bit, expanded_immediate, twelve_bits};
 
 /// A register's value.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -1,7 +1,7 @@
 //! The check of acknowledgements on small handlers of which the result is known: above all, what it must refuse.
 
 use crate::acknowledge::{Kind, NotAsserted, Step, check};
-use crate::image::Image;
+use image_tests::image::Image;
 
 const CLEAR: Step = Step { register: "LIFCR", address: 0x4002_6408, kind: Kind::WriteOnes(1 << 5) };
 

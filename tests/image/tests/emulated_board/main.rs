@@ -4,18 +4,6 @@
 //! time to executed instructions: every run is the same, on every machine.
 
 mod figures;
-// What each function of an image calls.
-#[path = "../linked_image/function.rs"]
-#[expect(dead_code, reason = "the stack is not looked at here")]
-mod function;
-#[path = "../linked_image/image.rs"]
-#[expect(dead_code, reason = "only functions are looked at here")]
-mod image;
-#[path = "../linked_image/program.rs"]
-#[expect(dead_code, reason = "only calls are looked at here")]
-mod program;
-#[path = "../linked_image/thumb.rs"]
-mod thumb;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::ffi::OsStr;
@@ -64,7 +52,7 @@ fn five_seconds_on_the_board_equal_the_host_bit_for_bit() {
     };
     println!("sample to motors: {steps} steps, mean {} instructions, most {most}", total / steps);
     assert!(steps > 4_500);
-    tests::budget("instructions", "sample to motors", most);
+    image_tests::budget("instructions", "sample to motors", most);
 }
 
 /// The same table, stepped here.
@@ -131,14 +119,14 @@ fn every_estimator_equals_the_host_and_the_chain_stays_within_its_instructions()
     for stage in STAGES {
         let (inputs, _, most) = counts[stage];
         assert!(inputs >= 1_024, "{stage}: {inputs} inputs");
-        tests::budget("instructions", stage, most);
+        image_tests::budget("instructions", stage, most);
     }
     // From the counts of the converters to the pulses of the ESCs, every sensor in every step.
     for (name, estimator) in
         [("chain of paper", "estimator paper 9-axis"), ("chain of flight", "estimator flight 9-axis")]
     {
         let chain = ["calibration of 3 sensors", "9 prefilters", estimator, "control", "mixer and ESC"];
-        tests::budget("instructions", name, chain.iter().map(|stage| counts[*stage].2).sum());
+        image_tests::budget("instructions", name, chain.iter().map(|stage| counts[*stage].2).sum());
     }
 }
 
@@ -175,7 +163,7 @@ fn build(arguments: &[&str]) -> PathBuf {
 }
 
 fn workspace() -> &'static Path {
-    Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap()
+    Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../.."))
 }
 
 fn fresh_directory(name: &str) -> PathBuf {

@@ -39,10 +39,6 @@
 mod acknowledge;
 mod crafted;
 mod crafted_handlers;
-mod function;
-mod image;
-mod program;
-mod thumb;
 mod values;
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -53,9 +49,9 @@ use std::process::Command;
 use std::sync::OnceLock;
 
 use acknowledge::{Found, NotAsserted, Source};
-use function::{Callee, Function};
-use image::Image;
-use program::{Depth, Program};
+use image_tests::function::{self, Callee, Function};
+use image_tests::image::Image;
+use image_tests::program::{Depth, Program};
 
 /// The handlers between a sample and the motors' pulses: the flight task, and what wakes it.
 const FAST_LOOP: [&str; 3] = ["DMA2_STREAM0", "EXTI4", "TIM5"];
@@ -158,7 +154,7 @@ fn the_stack_holds_the_worst_nesting_of_handlers() {
         let bound = stack_bound(image).unwrap_or_else(|why| panic!("log {log}: {why}"));
         assert!(bound <= image.stack_bytes, "{bound} bytes of stack, and there are {}", image.stack_bytes);
         if *log == "trace" {
-            tests::budget("bytes", "stack", bound);
+            image_tests::budget("bytes", "stack", bound);
         }
     }
 }
@@ -167,8 +163,8 @@ fn the_stack_holds_the_worst_nesting_of_handlers() {
 #[ignore = "builds the firmware for the board"]
 fn flash_and_ram_keep_their_budgets() {
     let image = flight_image("info");
-    tests::budget("bytes", "flash", image.flash_bytes);
-    tests::budget("bytes", "static RAM", image.ram_bytes);
+    image_tests::budget("bytes", "flash", image.flash_bytes);
+    image_tests::budget("bytes", "static RAM", image.ram_bytes);
 }
 
 #[test]
@@ -305,7 +301,7 @@ fn flight_image(log: &str) -> Image {
 fn built_image(log: &str, features: &[&str]) -> Image {
     let target = Path::new(env!("CARGO_TARGET_TMPDIR")).join("linked-image");
     let status = Command::new(env::var_os("CARGO").as_deref().unwrap_or(OsStr::new("cargo")))
-        .current_dir(Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap())
+        .current_dir(Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../..")))
         .args(["build", "--profile", "flash", "--package", "firmware", "--target", "thumbv7em-none-eabihf"])
         .args(features)
         .arg("--target-dir")

@@ -16,7 +16,7 @@ use sim_host::image::{flashed_bytes, image_sha256};
 const TARGET: &str = "thumbv7em-none-eabihf";
 
 fn workspace() -> &'static Path {
-    Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap()
+    Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../.."))
 }
 
 fn cargo() -> Command {

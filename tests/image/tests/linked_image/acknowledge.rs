@@ -16,10 +16,10 @@
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
-use crate::function::{Listing, jump_table, listing};
-use crate::image::Image;
-use crate::thumb::Flow;
 use crate::values::{Access, BitRead, Registers, Value};
+use image_tests::function::{Listing, jump_table, listing};
+use image_tests::image::Image;
+use image_tests::thumb::Flow;
 
 /// What takes a vector's interrupt down.
 pub enum Source {

@@ -5,15 +5,15 @@
 //! what it would take alone. What sets it up is not in it, nor are tables elsewhere, nor what reports a panic.
 //!
 //! To write the file anew after a change:
-//! `KESTREL_WRITE_DOCS=1 cargo test -p tests --test emulated_board figures -- --ignored`.
+//! `KESTREL_WRITE_DOCS=1 cargo test -p image-tests --test emulated_board figures -- --ignored`.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::fs;
 
-use crate::image::Image;
-use crate::program::Program;
 use crate::{alternatives_image, board_image, fresh_directory, run, workspace};
+use image_tests::image::Image;
+use image_tests::program::Program;
 
 /// Where it is.
 const FILE: &str = "studies/src/cost/m4.toml";
@@ -67,7 +67,7 @@ fn figures_of_the_alternatives_are_those_of_the_file() {
 fn text(figures: &[(String, Figure)]) -> String {
     let mut text = String::from(
         "# What things take on the emulated Cortex-M4F: instructions, the mean over their inputs, and bytes of flash.
-# Written by a test, which says how they are measured: tests/tests/emulated_board/figures.rs.
+# Written by a test, which says how they are measured: tests/image/tests/emulated_board/figures.rs.
 ",
     );
     for (name, figure) in figures {

@@ -1,10 +1,10 @@
 //! The analysis on instructions and small programs of which the result is known: above all, what it must
 //! refuse.
 
-use crate::image::Image;
-use crate::program::Program;
-use crate::thumb::{Condition, Flow, Half, Stack, decode};
 use crate::{FORMATTED_DEPTH, check_free_of_panics, depth};
+use image_tests::image::Image;
+use image_tests::program::Program;
+use image_tests::thumb::{Condition, Flow, Half, Stack, decode};
 
 #[test]
 fn instructions_that_move_sp_or_pc_are_decoded() {
