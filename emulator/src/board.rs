@@ -28,11 +28,7 @@ use crate::compass::Compass;
 use crate::imu::Imu;
 use crate::pads::{Line, PADS};
 use crate::radio::{Protocol, Radio};
-use crate::timing::{HANDLERS, Handler, handlers};
-
-/// Instructions a second of virtual time: two cycles of 168 MHz for each, as `docs/timing.md` assumes. A setting, not
-/// a measurement: no wait states of the flash, no caches, no contention on the bus.
-pub const INSTRUCTIONS_PER_SECOND: u64 = 84_000_000;
+use crate::timing::{HANDLERS, Handler, INSTRUCTIONS_PER_SECOND, handlers};
 
 /// The core's clock once the firmware has set it up, which times SysTick, Hz.
 const CORE_HZ: u64 = 168_000_000;

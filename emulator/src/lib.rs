@@ -19,7 +19,7 @@
 //!
 //! # What this shows, and what it does not
 //! The registers are modelled after ST's reference manual by people who had no part in this firmware; what the manual
-//! forbids is reported. Time is counted in instructions, [`board::INSTRUCTIONS_PER_SECOND`]: there are no wait states,
+//! forbids is reported. Time is counted in instructions, [`timing::INSTRUCTIONS_PER_SECOND`]: there are no wait states,
 //! no caches and no contention on the bus, and so no cycle is exact. It is not a board.
 #![forbid(unsafe_code)]
 #![warn(missing_docs)]

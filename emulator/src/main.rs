@@ -11,10 +11,11 @@ use std::time::Instant;
 
 use board::Board;
 use clap::Parser;
-use emulator::board::{INSTRUCTIONS_PER_SECOND, Wiring};
+use emulator::board::Wiring;
 use emulator::firmware::Firmware;
 use emulator::flight::{self, Flown, Settings};
 use emulator::radio::Protocol;
+use emulator::timing::INSTRUCTIONS_PER_SECOND;
 use input::InputError;
 use serde_json::{Value, json};
 use sim_host::flight::{FlightLog, summary};

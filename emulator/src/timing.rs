@@ -2,7 +2,9 @@
 
 use std::collections::BTreeSet;
 
-use crate::board::INSTRUCTIONS_PER_SECOND;
+/// Instructions a second of virtual time: two cycles of 168 MHz for each, as `docs/timing.md` assumes. A setting, not
+/// a measurement: no wait states of the flash, no caches, no contention on the bus.
+pub const INSTRUCTIONS_PER_SECOND: u64 = 84_000_000;
 
 /// Smallest, mean and largest of something.
 #[derive(Clone, Copy, Debug, Default)]

@@ -43,12 +43,8 @@ unsafe fn DefaultHandler(_irqn: i16) -> ! {
     stop()
 }
 
-/// Stops the motors, and nothing else happens until the watchdog resets the board.
-pub extern "C" fn stop() -> ! {
-    // An unexpected interrupt comes at its own priority, and the flight task must not run again.
-    cortex_m::interrupt::disable();
-    board::stop_after_fault();
-    board::halt()
+extern "C" fn stop() -> ! {
+    board::stop()
 }
 
 /// Stops the motors, and only then says what has happened: writing that down may take a while, or panic again.

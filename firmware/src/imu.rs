@@ -14,8 +14,8 @@
 use drivers::icm42688p::{Progress, Setup};
 use tasks::sampling;
 
-use crate::board;
 use crate::stm32f405::burst::{ImuSpi, Wired};
+use crate::stm32f405::deadline;
 
 /// The sensor, for its set-up.
 pub struct Imu<W> {
@@ -32,7 +32,7 @@ impl<W: Wired> Imu<W> {
 
     /// A step of the set-up: while [`sampling::setting_up`], once in a millisecond.
     pub fn run(&mut self) {
-        let now_us = board::now_us();
+        let now_us = deadline::now_us();
         let Self { spi, setup } = self;
         let progress = setup
             .get_or_insert_with(|| {

@@ -10,7 +10,7 @@
 use flight_core::ArmState;
 use stm32f4xx_hal::gpio::{AnyPin, Output, PinState};
 
-use crate::board::Step;
+use crate::step::Step;
 
 /// The light, if the board has one.
 pub struct Light {

@@ -44,11 +44,13 @@ mod health;
 #[cfg(feature = "wired")]
 mod imu;
 mod inbox;
+mod interrupts;
 #[cfg(feature = "wired")]
 mod light;
 #[cfg(feature = "wired")]
 mod radio;
 mod recorder;
+mod step;
 mod stm32f405;
 
 use defmt_rtt as _;

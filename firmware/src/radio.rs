@@ -6,7 +6,7 @@ use receiver::search::Search;
 use tasks::clock::Clock;
 use tasks::tally::TALLY;
 
-use crate::board::now_us;
+use crate::stm32f405::deadline::now_us;
 use crate::stm32f405::port::{Port, Wired};
 
 /// The receiver at its port.

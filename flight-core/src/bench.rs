@@ -2,7 +2,7 @@
 
 use crate::arithmetic::sqrt;
 use crate::arming::BenchMotor;
-use crate::config::{ConfigError, check};
+use crate::range::{ConfigError, check};
 use crate::sample::BenchCommand;
 
 /// Age of the last command at which the motor stops, µs.

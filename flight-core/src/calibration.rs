@@ -4,8 +4,8 @@
 //! M the matrix of scale and misalignment that a calibration found. The two are folded into one matrix and
 //! one offset when the configuration is taken, so that a sample costs nine products and nine sums.
 
-use crate::config::{ConfigError, check};
 use crate::geometry::{Mat3, Vec3, vec3};
+use crate::range::{ConfigError, check};
 
 /// What a calibration found about one three-axis sensor.
 #[derive(Clone, Copy, Debug, PartialEq)]

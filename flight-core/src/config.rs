@@ -1,6 +1,6 @@
 //! Everything that can be set, with its defaults and its ranges.
 
-use core::fmt;
+pub use crate::range::ConfigError;
 
 use crate::STANDARD_GRAVITY;
 use crate::bench::BenchParams;
@@ -114,74 +114,9 @@ impl Default for Params {
     }
 }
 
-/// A parameter outside its range.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct ConfigError {
-    /// Which one.
-    pub field: &'static str,
-    /// What it was.
-    pub value: f32,
-    /// Smallest allowed value.
-    pub minimum: f32,
-    /// Largest allowed value.
-    pub maximum: f32,
-    /// Whether the two ends themselves are refused.
-    pub exclusive: bool,
-}
-
-impl fmt::Display for ConfigError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { field, value, minimum, maximum, exclusive } = self;
-        if *exclusive {
-            write!(f, "{field} = {value}: must be above {minimum} and below {maximum}")
-        } else {
-            write!(f, "{field} = {value}: must be from {minimum} to {maximum}")
-        }
-    }
-}
-
-impl core::error::Error for ConfigError {}
-
-/// Whether `value` is within `minimum..=maximum`; NaN is not.
-pub(crate) fn check(field: &'static str, value: f32, minimum: f32, maximum: f32) -> Result<(), ConfigError> {
-    if value >= minimum && value <= maximum {
-        Ok(())
-    } else {
-        Err(ConfigError { field, value, minimum, maximum, exclusive: false })
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use proptest::num::f32::ANY;
-    use proptest::prelude::*;
-    use std::format;
-
-    proptest! {
-        /// Whatever is compared with whatever range: what is let through is a number in it.
-        #[test]
-        fn what_is_checked_is_within(value in ANY, a in ANY, b in ANY, inside in 0.0..=1.0_f32) {
-            let answer = check("field", value, a, b);
-            prop_assert_eq!(answer.is_ok(), (a..=b).contains(&value));
-            if let Err(error) = answer {
-                prop_assert_eq!((error.field, error.value.to_bits(), error.exclusive), ("field", value.to_bits(), false));
-                prop_assert_eq!((error.minimum.to_bits(), error.maximum.to_bits()), (a.to_bits(), b.to_bits()));
-            }
-            prop_assert_eq!(check("field", inside, 0.0, 1.0), Ok(()));
-            for end in [a, b] {
-                prop_assert_eq!(check("field", end, a, b).is_ok(), a <= b);
-            }
-        }
-    }
-
-    #[test]
-    fn an_error_says_what_would_be_right() {
-        let error = check("imu_rate_hz", 5.0, 10.0, 32_000.0).unwrap_err();
-        assert_eq!(format!("{error}"), "imu_rate_hz = 5: must be from 10 to 32000");
-        let error = ConfigError { exclusive: true, ..error };
-        assert_eq!(format!("{error}"), "imu_rate_hz = 5: must be above 10 and below 32000");
-    }
 
     #[test]
     fn the_defaults_are_within_their_ranges() {

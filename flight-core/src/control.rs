@@ -10,9 +10,9 @@
 //! per unit of rate error, and the inertia turns them into torque: the same gains fit a larger vehicle.
 
 use crate::arithmetic::{max, min, sin_cos, sqrt, wrap_pi};
-use crate::config::{ConfigError, check};
 use crate::geometry::{Vec3, vec3};
 use crate::mixer::Saturation;
+use crate::range::{ConfigError, check};
 use crate::rc::{FlightMode, Gesture, Sticks};
 
 /// Gains and limits of the cascade.

@@ -50,6 +50,7 @@ pub mod geometry;
 pub mod imu_check;
 pub mod mixer;
 pub mod prefilter;
+mod range;
 pub mod rc;
 pub mod record;
 pub mod sample;

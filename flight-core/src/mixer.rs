@@ -17,8 +17,8 @@
 //! demand into roll.
 
 use crate::arithmetic::{max, min, sqrt};
-use crate::config::{ConfigError, check};
 use crate::geometry::{Vec3, vec3};
+use crate::range::{ConfigError, check};
 
 /// Which way the rotors turn, seen from above.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

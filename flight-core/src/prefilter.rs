@@ -4,8 +4,8 @@
 //! direct form II transposed: three products and five sums a sample, with two states. The first sample sets
 //! the states to those of an input that was always there, so a constant input has no transient.
 
-use crate::config::{ConfigError, check};
 use crate::geometry::{Vec3, vec3};
+use crate::range::{ConfigError, check};
 
 /// Highest rate for a cutoff, as a multiple of it. The gain at zero frequency is 4K²/(D (1 + a₁ + a₂)), and of the sum below, which
 /// is 4K²/D, f32 loses up to 9e-8 by rounding a₁ and a₂. With K = π/2,000 that sum is 9.9e-6, and the gain

@@ -31,6 +31,8 @@ use crate::effects::{Moment, OPTIONAL};
 
 pub use vehicle::{GRAVITY, VehicleParams};
 
+pub use crate::state::State;
+
 /// How the vehicle is held.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Mount {
@@ -40,49 +42,6 @@ pub enum Mount {
     BallJoint,
 }
 
-/// Where the vehicle is and how it moves.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct State {
-    /// North, east, down, m. The ground is at 0.
-    pub position: Vec3<f64>,
-    /// North, east, down, m/s.
-    pub velocity: Vec3<f64>,
-    /// Body to world.
-    pub attitude: Quaternion<f64>,
-    /// Body rates, rad/s.
-    pub rates: Vec3<f64>,
-}
-
-impl State {
-    fn moved(&self, slope: &Slope, h: f64) -> Self {
-        let turned = Quaternion {
-            w: self.attitude.w + slope.attitude.w * h,
-            v: self.attitude.v + slope.attitude.v * h,
-        };
-        Self {
-            position: self.position + slope.velocity * h,
-            velocity: self.velocity + slope.acceleration * h,
-            attitude: turned,
-            rates: self.rates + slope.angular_acceleration * h,
-        }
-    }
-
-    /// Cosine of the angle between the body's and the world's down.
-    pub fn cos_tilt(&self) -> f64 {
-        self.attitude.down().z
-    }
-
-    /// Whether every number is finite.
-    pub fn is_finite(&self) -> bool {
-        let sum = self.position.dot(Vec3::X + Vec3::Z)
-            + self.position.y
-            + self.velocity.norm()
-            + self.attitude.norm_squared()
-            + self.rates.norm();
-        sum.is_finite()
-    }
-}
-
 /// Time derivative of a [`State`].
 #[derive(Clone, Copy, Debug)]
 struct Slope {
@@ -90,6 +49,22 @@ struct Slope {
     acceleration: Vec3<f64>,
     attitude: Quaternion<f64>,
     angular_acceleration: Vec3<f64>,
+}
+
+impl Slope {
+    /// Where a vehicle is after a time `h`, from `state` on.
+    fn moved(&self, state: &State, h: f64) -> State {
+        let turned = Quaternion {
+            w: state.attitude.w + self.attitude.w * h,
+            v: state.attitude.v + self.attitude.v * h,
+        };
+        State {
+            position: state.position + self.velocity * h,
+            velocity: state.velocity + self.acceleration * h,
+            attitude: turned,
+            rates: state.rates + self.angular_acceleration * h,
+        }
+    }
 }
 
 /// The vehicle and its state.
@@ -287,9 +262,9 @@ impl Vehicle {
         let at = self.state;
 
         let k1 = self.slope;
-        let k2 = self.slope_at(&at.moved(&k1, 0.5 * h), &middle);
-        let k3 = self.slope_at(&at.moved(&k2, 0.5 * h), &middle);
-        let k4 = self.slope_at(&at.moved(&k3, h), &end);
+        let k2 = self.slope_at(&k1.moved(&at, 0.5 * h), &middle);
+        let k3 = self.slope_at(&k2.moved(&at, 0.5 * h), &middle);
+        let k4 = self.slope_at(&k3.moved(&at, h), &end);
 
         let sixth = h / 6.0;
         let mean = |f: fn(&Slope) -> Vec3<f64>| (f(&k1) + (f(&k2) + f(&k3)) * 2.0 + f(&k4)) * sixth;

@@ -27,3 +27,4 @@ pub mod report;
 pub mod scene;
 pub mod sense;
 pub mod sensors;
+pub mod state;

@@ -7,7 +7,7 @@ use emulator::flight::Flown;
 use flight_core::ArmState::{self, Descent, Disarmed, Terminated};
 use flight_core::arming::Cause;
 
-use emulator::board::INSTRUCTIONS_PER_SECOND;
+use emulator::timing::INSTRUCTIONS_PER_SECOND;
 
 use super::{after_arming, assert_sound, fly, fly_twice, hover, story};
 

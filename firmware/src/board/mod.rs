@@ -18,7 +18,7 @@
 //!
 //! # Waking the tasks
 //! RTIC binds a task to one interrupt vector, and takes no vector that depends on the board. So the flight task
-//! is bound to [`WAKE_FLIGHT`], which is the end of the sensor's DMA burst on a flight board, and which each board
+//! is bound to [`crate::interrupts::WAKE_FLIGHT`], which is the end of the sensor's DMA burst on a flight board, and which each board
 //! also raises when 1.5 periods have passed since the last sample. A dead sensor thus ages in the flight
 //! controller, and does not stop it. The `tick` task is bound to SysTick, once a millisecond.
 //!
@@ -38,13 +38,11 @@
 //! | CRYP, DCMI, HASH_RNG (dispatchers) | the same: software alone pends them. The F405 has neither of the first two, and its random number generator is off |
 //!
 //! A board's own interrupt handlers note what happened and when, and ask [`tasks::sampling`] what to do. They have a higher
-//! priority than any task ([`SENSE_PRIORITY`]), so that a time is not late because a task runs.
+//! priority than any task ([`crate::interrupts::SENSE_PRIORITY`]), so that a time is not late because a task runs.
 
-use cortex_m::peripheral::NVIC;
-use flight_core::arming::Event;
-use flight_core::geometry::Quaternion;
-use flight_core::{ArmState, Config};
-use stm32f4xx_hal::pac::{Interrupt, NVIC_PRIO_BITS};
+use flight_core::Config;
+
+pub use crate::step::Step;
 
 #[cfg(feature = "unwired")]
 mod unwired;
@@ -60,13 +58,6 @@ pub use wired::*;
 compile_error!("one board at a time: build the others with --no-default-features --features qemu (or hil)");
 #[cfg(not(any(feature = "unwired", feature = "wired")))]
 compile_error!("choose a board: wired, qemu or hil");
-
-/// The vector that the flight task is bound to.
-pub const WAKE_FLIGHT: Interrupt = Interrupt::DMA2_STREAM0;
-
-/// RTIC priority (larger is more urgent) of the interrupts that take times. Tasks have this one or a lower one.
-#[cfg(not(feature = "hil"))]
-pub const SENSE_PRIORITY: u8 = 6;
 
 /// The board's parts, each of which one task owns.
 pub struct Board {
@@ -92,31 +83,4 @@ pub struct Board {
     pub reset_by: &'static str,
     /// It was the watchdog.
     pub watchdog_reset: bool,
-}
-
-/// A finished step, for [`Monitor::show`].
-pub struct Step {
-    /// [`flight_core::Input::time_us`].
-    pub time_us: u64,
-    /// Whether an inertial sample came.
-    pub sampled: bool,
-    /// [`flight_core::Output::state`].
-    pub state: ArmState,
-    /// What happened to the arm state, if anything did.
-    pub event: Option<Event>,
-    /// The attitude after the step.
-    pub attitude: Quaternion<f32>,
-    /// Deadlines that the tasks have missed since start.
-    pub missed_deadlines: u32,
-}
-
-/// Lets one of a board's own interrupts in, at this RTIC priority.
-pub fn listen(nvic: &mut NVIC, interrupt: Interrupt, priority: u8) {
-    let level = ((1 << NVIC_PRIO_BITS) - priority) << (8 - NVIC_PRIO_BITS);
-    // SAFETY: no lock of the tasks is relied on to keep the handler out, or is broken by its coming: the handlers
-    // share nothing with tasks but atomics, and what they keep behind a critical section.
-    unsafe {
-        nvic.set_priority(interrupt, level);
-        NVIC::unmask(interrupt);
-    }
 }

@@ -7,6 +7,7 @@
 use cortex_m::peripheral::NVIC;
 use cortex_m::peripheral::syst::SystClkSource;
 use cortex_m::singleton;
+use cortex_m_rt::exception;
 use embedded_hal::spi::MODE_3;
 use flight_core::arming::MotorPermit;
 use flight_core::calibration::Sensitivity;
@@ -25,8 +26,8 @@ use tasks::sampling::{self, Next};
 use tasks::tally::TALLY;
 use tasks::{OVERDUE_US, PERIOD_US};
 
-use super::{Board, SENSE_PRIORITY, WAKE_FLIGHT, listen};
-use crate::fault;
+use super::Board;
+use crate::interrupts::{SENSE_PRIORITY, WAKE_FLIGHT, listen};
 use crate::light::Light;
 use crate::stm32f405::burst::{self, ImuBus, ImuSpi};
 use crate::stm32f405::bus::{self, Bus};
@@ -235,7 +236,12 @@ pub fn init(mut core: cortex_m::Peripherals, device: pac::Peripherals) -> Board 
     let compass = Compass(crate::compass::Compass::new(Bus::new(apb1 / 1_000_000)));
 
     let mut exti = parts.exti;
-    power::watch_supply(&parts.pwr, &exti, &mut core.NVIC);
+    power::watch_supply(&exti);
+    listen(&mut core.NVIC, Interrupt::PVD, power::DETECTOR_PRIORITY);
+    // It may have fallen before the line was watched.
+    if power::supply_is_low(&parts.pwr) {
+        stop_for(Failure::Supply);
+    }
     listen(&mut core.NVIC, wiring::RECEIVER_INTERRUPT, SENSE_PRIORITY);
     let mut data_ready = parts.imu_ready.into_pull_down_input();
     data_ready.make_interrupt_source(&mut parts.syscfg.constrain(&mut rcc));
@@ -294,7 +300,7 @@ fn go_on(next: Next) {
     match next {
         Next::Burst => wiring::IMU.start(),
         Next::Flight => NVIC::pend(WAKE_FLIGHT),
-        Next::Stop => fault::stop(),
+        Next::Stop => stop(),
     }
 }
 
@@ -360,6 +366,32 @@ pub fn stop_after_fault() {
         // pads are low.
         LINES.pull_pads_down();
     }
+}
+
+/// Stops the motors, and nothing else happens until the watchdog resets the board.
+pub fn stop() -> ! {
+    // An unexpected interrupt comes at its own priority, and the flight task must not run again.
+    cortex_m::interrupt::disable();
+    stop_after_fault();
+    halt()
+}
+
+/// [`stop`], for a reason that the next start tells.
+fn stop_for(failure: Failure) -> ! {
+    failure.note();
+    stop()
+}
+
+/// The supply is below the voltage detector's level.
+#[interrupt]
+fn PVD() -> ! {
+    stop_for(Failure::Supply)
+}
+
+/// Nothing but the clock security system raises it.
+#[exception]
+unsafe fn NonMaskableInt() -> ! {
+    stop_for(Failure::Crystal)
 }
 
 /// After [`stop_after_fault`]: stays here until the watchdog resets the board, and goes on sending the stop.

@@ -30,9 +30,9 @@ use stm32f4xx_hal::pac::dma2::st::cr;
 use stm32f4xx_hal::pac::spi1;
 use tasks::sampling::{BurstBus, FrameBuffer, Signal};
 
+use super::deadline::Wait;
 use super::dma::Stream;
 use super::pin::Pin;
-use crate::board;
 
 /// How the sensor is connected.
 #[derive(Clone, Copy)]
@@ -186,7 +186,7 @@ impl<W: Wired> SpiDevice for ImuSpi<W> {
                 Ok(())
             }),
             Operation::DelayNs(ns) => {
-                board::Wait.delay_ns(*ns);
+                Wait.delay_ns(*ns);
                 Ok(())
             }
         });

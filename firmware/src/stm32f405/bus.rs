@@ -15,8 +15,8 @@ use embedded_hal::delay::DelayNs;
 use embedded_hal::i2c::{self, ErrorKind, ErrorType, I2c, NoAcknowledgeSource, Operation};
 use stm32f4xx_hal::pac::i2c1;
 
+use super::deadline::{Wait, now_us};
 use super::pin::Pin;
-use crate::board;
 
 /// How the sensors are connected.
 #[derive(Clone, Copy)]
@@ -47,7 +47,7 @@ static RUN_BEGAN_US: AtomicU32 = AtomicU32::new(0);
 
 /// The bus's time begins to run.
 pub fn begin_run() {
-    RUN_BEGAN_US.store(board::now_us(), Ordering::Relaxed);
+    RUN_BEGAN_US.store(now_us(), Ordering::Relaxed);
 }
 
 /// Why an access failed.
@@ -113,7 +113,7 @@ impl<W: Wired> Bus<W> {
 }
 
 fn in_time() -> Result<(), BusError> {
-    let since_us = board::now_us().wrapping_sub(RUN_BEGAN_US.load(Ordering::Relaxed));
+    let since_us = now_us().wrapping_sub(RUN_BEGAN_US.load(Ordering::Relaxed));
     if since_us > RUN_US { Err(BusError::TimeUp) } else { Ok(()) }
 }
 
@@ -133,9 +133,9 @@ impl Wiring {
                 break;
             }
             self.scl.set_low();
-            board::Wait.delay_us(5);
+            Wait.delay_us(5);
             self.scl.set_high();
-            board::Wait.delay_us(5);
+            Wait.delay_us(5);
         }
         self.scl.make_alternate();
     }

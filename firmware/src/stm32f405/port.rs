@@ -16,7 +16,7 @@ use receiver::Line;
 use receiver::search::Received;
 use stm32f4xx_hal::pac::usart1;
 
-use crate::board;
+use super::deadline::now_us;
 
 /// Where the receiver's bytes come in.
 #[derive(Clone, Copy)]
@@ -50,7 +50,7 @@ type ToQueue = Producer<'static, (u32, Received)>;
 /// Takes the byte that has come: for the port's interrupt.
 #[inline]
 pub fn take_byte<W: Wired>() {
-    let at_us = board::now_us();
+    let at_us = now_us();
     // Reading the status, then the data, clears both.
     let status = W::RECEIVER.regs().sr().read();
     let byte = W::RECEIVER.regs().dr().read().bits() as u8;

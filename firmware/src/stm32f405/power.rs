@@ -4,7 +4,7 @@
 //! |---|---|---|
 //! | above 2.76 V | [`wait_for_supply`] | before that the clocks are not set up, and nothing drives the motors |
 //! | below 2.7 V | | at 168 MHz with five wait states the flash may be read wrong (datasheet, table 15) |
-//! | below 2.66 V (2.59 to 2.71) | the voltage detector, [`watch_supply`] | stops the motors, for good: the watchdog starts the chip anew |
+//! | below 2.66 V (2.59 to 2.71) | the voltage detector, [`watch_supply`], and its interrupt | stops the motors, for good: the watchdog starts the chip anew |
 //! | below 2.83 V at level 3, 2.50 V at level 2 | the brown-out reset, if its option byte is set: [`brown_out_reset_is_off`] | resets the chip |
 //! | below 1.7 V | the power-down reset | resets the chip |
 //!
@@ -37,19 +37,14 @@
 use core::mem::MaybeUninit;
 use core::sync::atomic::{AtomicU32, Ordering};
 
-use cortex_m::peripheral::NVIC;
-use cortex_m_rt::exception;
-use stm32f4xx_hal::pac::{EXTI, FLASH, Interrupt, PWR, interrupt};
+use stm32f4xx_hal::pac::{EXTI, FLASH, PWR};
 use stm32f4xx_hal::rcc::{Enable, Rcc};
-
-use crate::board::listen;
-use crate::fault;
 
 /// Of the voltage detector: nominally 2.6 V (RM0090, 5.4.1).
 const DETECTOR_LEVEL: u8 = 0b100;
 
-/// More urgent than all others: it does not come back.
-const DETECTOR_PRIORITY: u8 = 7;
+/// RTIC priority of the voltage detector's interrupt: more urgent than all others, because it does not come back.
+pub const DETECTOR_PRIORITY: u8 = 7;
 
 /// What an option byte of an unset brown-out reset reads. (`stm32f4` 0.16 has the names of the levels the wrong
 /// way round; ST's are: 0 is level 3, 1 level 2, 2 level 1, 3 off.)
@@ -89,10 +84,9 @@ impl Failure {
         Self::ALL.into_iter().find(|failure| failure.mark() == mark)
     }
 
-    /// Notes it for the next start, and stops the motors.
-    fn stop(self) -> ! {
+    /// Notes it for the next start.
+    pub fn note(self) {
         FAILED.word().store(self.mark(), Ordering::SeqCst);
-        fault::stop()
     }
 }
 
@@ -114,40 +108,25 @@ impl Mark {
 pub fn wait_for_supply(pwr: &PWR, rcc: &mut Rcc) {
     PWR::enable(rcc);
     pwr.cr().modify(|_, w| w.pls().set(DETECTOR_LEVEL).pvde().enabled());
-    while is_low(pwr) {}
+    while supply_is_low(pwr) {}
 }
 
-fn is_low(pwr: &PWR) -> bool {
+/// Whether the supply is below the detector's level.
+pub fn supply_is_low(pwr: &PWR) -> bool {
     pwr.csr().read().pvdo().is_lower()
 }
 
-/// From now on a supply that is too low stops the motors.
-pub fn watch_supply(pwr: &PWR, exti: &EXTI, nvic: &mut NVIC) {
+/// From now on a supply that falls below the detector's level raises the interrupt PVD, if that is let in.
+pub fn watch_supply(exti: &EXTI) {
     // Its line rises when the supply falls.
     exti.rtsr().modify(|_, w| w.tr16().set_bit());
     exti.pr().write(|w| w.pr16().clear_bit_by_one());
     exti.imr().modify(|_, w| w.mr16().set_bit());
-    listen(nvic, Interrupt::PVD, DETECTOR_PRIORITY);
-    // It may have fallen before the line was watched.
-    if is_low(pwr) {
-        Failure::Supply.stop();
-    }
 }
 
-#[interrupt]
-fn PVD() -> ! {
-    Failure::Supply.stop()
-}
-
-/// From now on a crystal that fails stops the motors. It runs, and the chip with it.
+/// From now on a crystal that fails raises the non-maskable interrupt. It runs, and the chip with it.
 pub fn watch_crystal(rcc: &mut Rcc) {
     rcc.cr().modify(|_, w| w.csson().set_bit());
-}
-
-/// Nothing but the clock security system raises it.
-#[exception]
-unsafe fn NonMaskableInt() -> ! {
-    Failure::Crystal.stop()
 }
 
 /// Whether nothing resets the chip between 2.66 V, where the detector stops the motors, and 1.7 V.

@@ -3,7 +3,7 @@
 pub mod protocol;
 
 use crate::arithmetic::{max, min};
-use crate::config::{ConfigError, check};
+use crate::range::{ConfigError, check};
 
 /// The ESC's pulse map: linear in rotor speed from `stop_us` (no rotation) to `full_us` (`max_rad_s`).
 ///

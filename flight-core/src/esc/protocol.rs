@@ -23,7 +23,7 @@ use dshot_frame::{Command, Frame, NormalDshot};
 
 use super::EscParams;
 use crate::arithmetic::{max, min};
-use crate::config::{ConfigError, check};
+use crate::range::{ConfigError, check};
 
 /// The stop pulse, µs.
 pub const STOP_US: f32 = EscParams::STANDARD.stop_us;

@@ -26,8 +26,8 @@ pub use quaternion::QuaternionFilter;
 pub use robust::RobustFilter;
 
 use crate::arithmetic::atan2;
-use crate::config::{ConfigError, check};
 use crate::geometry::{Quaternion, Vec3};
+use crate::range::{ConfigError, check};
 
 /// Below a tenth of standard gravity the direction of the specific force says nothing about tilt
 /// (free fall), and the correction is left out. m²/s⁴.

@@ -15,7 +15,7 @@ pub mod link;
 pub mod request;
 
 use crate::arithmetic::max;
-use crate::config::{ConfigError, check};
+use crate::range::{ConfigError, check};
 use crate::sample::{LinkStatus, RcFrame};
 
 pub use link::Link;

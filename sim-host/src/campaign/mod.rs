@@ -20,7 +20,7 @@ use crate::flight::{Flight, Outcome};
 use crate::scene::{Drawn, Scene};
 
 pub use results::{merge, merge_with, to_csv, write};
-pub use summary::{Summary, drawn_json, outcome_json};
+pub use summary::Summary;
 
 /// What makes two runs of the same number the same flight.
 #[derive(Clone, Debug, PartialEq)]

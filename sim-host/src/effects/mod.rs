@@ -29,7 +29,8 @@ use flight_core::geometry::Vec3;
 /// out, to measure what looking costs a scene that names none: `sim-host/benches/cost-of-nothing`.
 pub(crate) const OPTIONAL: bool = !cfg!(feature = "bare");
 
-use crate::dynamics::{State, VehicleParams};
+use crate::state::State;
+use ::vehicle::VehicleParams;
 use input::InputError;
 
 /// What an effect may know when it is built.

@@ -3,7 +3,6 @@
 use serde_json::{Value, json};
 
 use super::Outcome;
-use crate::campaign::{drawn_json, outcome_json};
 use crate::scene::Scene;
 
 /// An outcome for programs.
@@ -66,4 +65,26 @@ pub fn describe(scene: &Scene, outcome: &Outcome, verdict: &str, wall_s: f64) ->
         rate = rate(outcome.control_steps as f64 / wall_s),
         digest = outcome.digest,
     )
+}
+
+/// How a flight went, for programs.
+pub fn outcome_json(outcome: &Outcome) -> Value {
+    json!({
+        "control_steps": outcome.control_steps,
+        "attitude_rmse_deg": outcome.attitude_rmse_deg,
+        "heading_rmse_deg": outcome.heading_rmse_deg,
+        "inclination_rmse_deg": outcome.inclination_rmse_deg,
+        "tilt_error_max_deg": outcome.tilt_error_max_deg,
+        "tilt_max_deg": outcome.tilt_max_deg,
+        "position_error_max_m": outcome.position_error_max_m,
+        "crashed": outcome.crash.is_some(),
+        "crash": outcome.crash.map(|(crash, at_s)| json!({ "cause": crash.text(), "at_s": at_s })),
+        "final_state": outcome.final_state.name(),
+        "digest": format!("{:016x}", outcome.digest),
+    })
+}
+
+/// What was drawn, for programs.
+pub fn drawn_json(drawn: &[(String, f64)]) -> Value {
+    drawn.iter().map(|(name, value)| (name.clone(), json!(value))).collect()
 }

@@ -34,7 +34,8 @@ use tasks::{PERIOD_US, sampling};
 
 use super::chip::{end, instructions};
 use super::{CAME, now_us, play, sample_to_motors, sent, set_now, wake_flight};
-use crate::board::{Step, listen};
+use crate::interrupts::listen;
+use crate::step::Step;
 
 #[cfg_attr(all(feature = "qemu", not(feature = "hil-usart")), path = "semihosting.rs")]
 #[cfg_attr(not(all(feature = "qemu", not(feature = "hil-usart"))), path = "usart.rs")]

@@ -35,8 +35,8 @@ use stm32f4xx_hal::pac::{self, TIM3, TIM4, TIM5};
 use stm32f4xx_hal::rcc::{Enable, Reset};
 use tasks::sampling::{self, BurstBus, FrameBuffer, Next, Signal};
 
-use super::{Board, WAKE_FLIGHT};
-use crate::fault;
+use super::Board;
+use crate::interrupts::WAKE_FLIGHT;
 use crate::stm32f405::dma::Stream;
 use crate::stm32f405::esc::{self, Lines, Pad, Timer};
 
@@ -107,7 +107,7 @@ unsafe fn reset_motor_timers() {
 fn wake_flight(next: Next) {
     match next {
         Next::Burst | Next::Flight => NVIC::pend(WAKE_FLIGHT),
-        Next::Stop => fault::stop(),
+        Next::Stop => stop(),
     }
 }
 
@@ -245,6 +245,13 @@ impl Outputs {
     pub fn stop(&mut self) {
         send(false, [STOP_US; 4]);
     }
+}
+
+/// Stops the motors, and ends.
+pub fn stop() -> ! {
+    cortex_m::interrupt::disable();
+    stop_after_fault();
+    halt()
 }
 
 /// [`Outputs::stop`], from a fault.

@@ -27,7 +27,8 @@ use tasks::{OVERDUE_US, PERIOD_US};
 
 use super::chip::instructions;
 use super::{CAME, play, sample_to_motors, sent, set_now, wake_flight};
-use crate::board::{SENSE_PRIORITY, Step, WAKE_FLIGHT, listen};
+use crate::interrupts::{SENSE_PRIORITY, WAKE_FLIGHT, listen};
+use crate::step::Step;
 
 /// Time from one tick to the next, µs.
 const TICK_US: u32 = PERIOD_US / 2;

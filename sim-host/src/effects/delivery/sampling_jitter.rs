@@ -14,8 +14,8 @@ use flight_core::geometry::Vec3;
 use serde::Deserialize;
 
 use super::ImuEffect;
-use crate::dynamics::State;
 use crate::effects::{Build, Moment, Recipe};
+use crate::state::State;
 use input::InputError;
 use input::check;
 use random::{NormalStream, UniformStream};

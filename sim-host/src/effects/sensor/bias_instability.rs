@@ -234,7 +234,7 @@ mod tests {
     fn a_longer_run_begins_with_the_same_draws() {
         let recipe = GyroBiasInstability { b_deg_per_h: [20.0; 3] };
         let mut short = build_seeded(&recipe, 100.0, 3);
-        let vehicle = crate::dynamics::VehicleParams::OS4;
+        let vehicle = ::vehicle::VehicleParams::OS4;
         let mut long = recipe.build(&Build {
             name: "test",
             seed: 3,

@@ -60,8 +60,8 @@ impl SensorEffect for Passing {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::dynamics::State;
     use crate::effects::sensor::testing::{STATE, build, moment};
+    use crate::state::State;
     use flight_core::geometry::{Quaternion, vec3};
 
     #[test]

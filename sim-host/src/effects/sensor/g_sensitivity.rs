@@ -8,8 +8,8 @@ use flight_core::geometry::{Mat3, Vec3};
 use serde::Deserialize;
 
 use super::DEG;
-use crate::dynamics::GRAVITY;
 use crate::effects::{BoxedSensorEffect, Build, Moment, Recipe, SensorEffect};
+use ::vehicle::GRAVITY;
 use input::InputError;
 use input::check;
 

@@ -43,8 +43,8 @@ impl SensorEffect for Arm {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::dynamics::State;
     use crate::effects::sensor::testing::{STATE, build, moment};
+    use crate::state::State;
     use flight_core::geometry::vec3;
 
     #[test]

@@ -59,8 +59,8 @@ impl SensorEffect for Wiring {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::dynamics::{GRAVITY, VehicleParams};
     use crate::effects::sensor::testing::{STATE, build, moment};
+    use ::vehicle::{GRAVITY, VehicleParams};
     use flight_core::geometry::vec3;
 
     #[test]

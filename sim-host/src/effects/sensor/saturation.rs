@@ -6,8 +6,8 @@ use flight_core::geometry::{Vec3, vec3};
 use serde::Deserialize;
 
 use super::DEG;
-use crate::dynamics::GRAVITY;
 use crate::effects::{BoxedSensorEffect, Build, Moment, Recipe, SensorEffect};
+use ::vehicle::GRAVITY;
 use input::InputError;
 use input::check;
 

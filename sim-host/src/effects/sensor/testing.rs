@@ -2,8 +2,9 @@
 
 use flight_core::geometry::{Quaternion, Vec3, vec3};
 
-use crate::dynamics::{GRAVITY, State, VehicleParams};
 use crate::effects::{BoxedSensorEffect, Build, Moment, Recipe};
+use crate::state::State;
+use ::vehicle::{GRAVITY, VehicleParams};
 
 /// Builds an effect from its recipe, for samples at this rate.
 pub fn build(recipe: &impl Recipe<Effect = BoxedSensorEffect>, rate_hz: f64) -> BoxedSensorEffect {

@@ -16,8 +16,8 @@ use serde::Deserialize;
 use wide::f64x4;
 
 use super::DEG;
-use crate::dynamics::{GRAVITY, VehicleParams};
 use crate::effects::{BoxedSensorEffect, Build, Moment, Recipe, SensorEffect};
+use ::vehicle::{GRAVITY, VehicleParams};
 use input::InputError;
 use input::check;
 use random::{NormalStream, NormalStreams};

@@ -56,8 +56,8 @@ impl BodyEffect for Offset {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::dynamics::VehicleParams;
     use crate::effects::vehicle::testing::{STATE, applied};
+    use ::vehicle::VehicleParams;
 
     #[test]
     fn equals_the_moments_of_the_rotors_about_the_moved_centre() {

@@ -236,8 +236,8 @@ impl WindEffect for Gusts {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::dynamics::State;
     use crate::effects::vehicle::testing::{STATE, moment, wind};
+    use crate::state::State;
 
     #[test]
     fn intensities_and_lengths_are_those_of_the_specification() {

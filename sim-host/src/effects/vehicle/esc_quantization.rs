@@ -48,8 +48,8 @@ impl CommandEffect for Stairs {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::dynamics::VehicleParams;
     use crate::effects::vehicle::testing::{STATE, command, moment};
+    use ::vehicle::VehicleParams;
 
     #[test]
     fn pulse_takes_the_nearest_step() {

@@ -14,8 +14,8 @@
 use serde::Deserialize;
 
 use super::{Stage, ThrustEffect, VehicleEffect};
-use crate::dynamics::VehicleParams;
 use crate::effects::{Build, Recipe};
+use ::vehicle::VehicleParams;
 use input::InputError;
 use input::check;
 
@@ -74,8 +74,8 @@ impl ThrustEffect for Cushion {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::dynamics::State;
     use crate::effects::vehicle::testing::{STATE, applied};
+    use crate::state::State;
     use flight_core::geometry::{Quaternion, vec3};
 
     fn ratios(height_m: f64, attitude: Quaternion<f64>) -> [f64; 4] {

@@ -45,7 +45,7 @@ pub use rotor_drag::RotorDrag;
 pub use rotor_gyroscopic::RotorGyroscopic;
 
 use super::Moment;
-use crate::dynamics::State;
+use crate::state::State;
 
 /// A point in time inside a step, while the motion is integrated.
 #[derive(Clone, Copy, Debug)]

@@ -60,8 +60,8 @@ impl BodyEffect for Drag {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::dynamics::State;
     use crate::effects::vehicle::testing::{STATE, applied};
+    use crate::state::State;
     use flight_core::geometry::{Quaternion, vec3};
 
     #[test]

@@ -57,8 +57,8 @@ impl BodyEffect for HForce {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::dynamics::State;
     use crate::effects::vehicle::testing::{STATE, applied};
+    use crate::state::State;
     use flight_core::geometry::Quaternion;
 
     #[test]

@@ -7,8 +7,8 @@ use flight_core::geometry::vec3;
 use serde::Deserialize;
 
 use super::{Body, BodyEffect, Load, Stage, VehicleEffect};
-use crate::dynamics::VehicleParams;
 use crate::effects::{Build, Recipe};
+use ::vehicle::VehicleParams;
 use input::InputError;
 
 /// `[effects.vehicle.rotor_gyroscopic]`: J_r is the vehicle's own.

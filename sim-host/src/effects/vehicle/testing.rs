@@ -3,8 +3,9 @@
 use flight_core::geometry::{Quaternion, Vec3, vec3};
 
 use super::{BodyEffect as _, CommandEffect, Load, Stage, VehicleEffect, WindEffect};
-use crate::dynamics::{GRAVITY, State, VehicleParams};
 use crate::effects::{Build, Moment, Recipe};
+use crate::state::State;
+use ::vehicle::{GRAVITY, VehicleParams};
 
 /// Level, at rest, 100 m up.
 pub const STATE: State = State {
