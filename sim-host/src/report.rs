@@ -19,6 +19,7 @@
 pub mod figures;
 mod page;
 mod recorder;
+pub mod step_response;
 mod trace;
 
 use std::io::Write as _;

@@ -7,7 +7,9 @@ use flight_core::ArmState;
 use flight_core::geometry::Vec3;
 use sim_host::campaign::{Campaign, fly};
 use sim_host::flight::{Flight, Observer, Outcome, StepView};
+use sim_host::report::step_response::{STEP_SHARE, StepResponse};
 use sim_host::scene::Scene;
+use vehicle::{MARGIN_DEG, Plant, Vehicle, tune};
 
 const CORES: NonZeroUsize = NonZeroUsize::new(2).unwrap();
 
@@ -121,4 +123,41 @@ fn a_change_of_the_file_changes_both_sides() {
         seen.push((params.descent.throttle, Flight::new(&scene, 7).run(&mut ()).digest));
     }
     assert!(seen[0].0 != seen[1].0 && seen[0].1 != seen[1].1, "{seen:?}");
+}
+
+/// The table of docs/tuning.md.
+#[test]
+fn proposed_gains_are_those_of_the_page() {
+    let page = std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/../docs/tuning.md")).unwrap();
+    for (name, _) in vehicle::BUILT_IN {
+        let row = page.lines().find(|line| line.starts_with(&format!("| `{name}`"))).unwrap();
+        let cells = row.split('|').skip(2).filter_map(|cell| cell.trim().parse().ok());
+        let of_page: Vec<f64> = cells.collect();
+        let vehicle = Vehicle::load(name).unwrap();
+        let plant = Plant::of(&vehicle);
+        let tuned = tune(&vehicle.params, &plant, MARGIN_DEG);
+        let mut control = vehicle.control;
+        tuned.put_into(&mut control);
+        let mut scene = scene("steps", name);
+        scene.set_control(control).unwrap();
+        let mut response = StepResponse::default();
+        flew(&Flight::new(&scene, scene.seed).run(&mut response), name);
+        let asked_rad = STEP_SHARE * f64::from(control.max_tilt_rad);
+        let found = [
+            plant.lag_s * 1e3,
+            tuned.tilt.p,
+            tuned.tilt.k,
+            tuned.yaw.p,
+            plant.margin(&tuned.tilt).crossover_rad_s / std::f64::consts::TAU,
+            response.answered(asked_rad).rise_s.unwrap(),
+            100.0 * (response.largest_tilt_rad() / asked_rad - 1.0),
+        ];
+        // To half of the page's last digit.
+        for ((of_page, found), half) in
+            of_page.iter().zip(found).zip([0.5, 0.06, 0.006, 0.06, 0.006, 0.006, 0.6])
+        {
+            assert!((of_page - found).abs() <= half, "{name}: {of_page} on the page, {found}");
+        }
+        assert_eq!(of_page.len(), found.len());
+    }
 }

@@ -6,9 +6,9 @@ use std::path::{Path, PathBuf};
 use flight_core::control::ControlParams;
 use input::InputError;
 use serde_json::{Value, json};
-use sim_host::flight::{Flight, Observer, StepView};
+use sim_host::flight::Flight;
 use sim_host::output_file::spare;
-use sim_host::report::{self, Recorder};
+use sim_host::report::step_response::{self, Proposal, STEP_SHARE, StepResponse};
 use sim_host::scene::Scene;
 use vehicle::{Axis, Loop, MARGIN_DEG, Margin, Plant, Tuned, Vehicle, authority_rad_s2, tune};
 
@@ -21,7 +21,7 @@ pub struct VehicleArguments {
     /// Propose gains for a phase margin of 60°, and fly the scene `steps` with them
     #[arg(long)]
     tune: bool,
-    /// Write the flight with the proposed gains as a page with plots
+    /// Write the answer to a step of the stick with the proposed gains as a page with plots
     #[arg(long, value_name = "F.html", requires = "tune")]
     report: Option<PathBuf>,
 }
@@ -123,31 +123,37 @@ fn delays(plant: &Plant, text: &mut String, json: &mut Value) {
     });
 }
 
-fn loops(plant: &Plant, control: &ControlParams, text: &mut String, json: &mut Value) {
-    text.push_str("\n\n  loops, broken at the rotors");
-    let mut list = Vec::new();
-    for (axis, name) in [(Axis::Roll, "roll"), (Axis::Pitch, "pitch"), (Axis::Yaw, "yaw")] {
+/// Name, gains, crossover and margin of each loop: of the rates alone, and with the angle's around it.
+fn all_loops(plant: &Plant, control: &ControlParams) -> Vec<(String, Loop, Margin)> {
+    let axes = [(Axis::Roll, "roll"), (Axis::Pitch, "pitch"), (Axis::Yaw, "yaw")];
+    let of_axis = |(axis, name): (Axis, &str)| {
         let gains = Loop::of(control, axis);
-        let both = plant.margin(&gains);
-        let rate = plant.margin(&Loop { k: 0.0, ..gains });
-        write_line(
-            text,
-            &format!("{name:<40}{}; the rate loop alone {}", margin_text(&both), margin_text(&rate)),
-        );
-        list.push(json!({
-            "axis": name, "p": gains.p, "i": gains.i, "d": gains.d, "k": gains.k,
-            "crossover_rad_s": both.crossover_rad_s, "phase_margin_deg": both.phase_deg,
-            "rate_crossover_rad_s": rate.crossover_rad_s, "rate_phase_margin_deg": rate.phase_deg,
-        }));
-    }
-    json["loops"] = Value::Array(list);
+        let rate = Loop { k: 0.0, ..gains };
+        [(name.to_owned(), gains, plant.margin(&gains)), (format!("{name}_rate"), rate, plant.margin(&rate))]
+    };
+    axes.into_iter().flat_map(of_axis).collect()
 }
 
-fn margin_text(margin: &Margin) -> String {
-    format!(
-        "crosses over at {:.1} rad/s with {:.0}° of phase margin",
-        margin.crossover_rad_s, margin.phase_deg
-    )
+fn loops(plant: &Plant, control: &ControlParams, text: &mut String, json: &mut Value) {
+    text.push_str("\n\n  loops, broken at the rotors");
+    json["loops"] = json!({});
+    for (name, gains, margin) in all_loops(plant, control) {
+        let line = format!(
+            "{:<40}crosses over at {:.2} Hz with {:.0}° of phase margin",
+            name.replace('_', " "),
+            hz(margin.crossover_rad_s),
+            margin.phase_deg
+        );
+        write_line(text, &line);
+        json["loops"][name] = json!({
+            "crossover_hz": hz(margin.crossover_rad_s), "phase_margin_deg": margin.phase_deg,
+            "p": gains.p, "i": gains.i, "d": gains.d, "k": gains.k,
+        });
+    }
+}
+
+fn hz(rad_s: f64) -> f64 {
+    rad_s / std::f64::consts::TAU
 }
 
 /// What is unusual, and why it matters.
@@ -209,14 +215,11 @@ fn proposal(
     tuned.put_into(&mut control);
     let mut scene = Scene::load_with_vehicle("steps", Some(&arguments.vehicle))?;
     scene.set_control(control)?;
-    let mut observers = (Steps::default(), arguments.report.as_ref().map(|_| Recorder::new()));
-    let outcome = Flight::new(&scene, scene.seed).run(&mut observers);
-    let (steps, recorder) = observers;
-    if let (Some(path), Some(recorder)) = (&arguments.report, &recorder) {
-        report::write(path, &scene, scene.seed, &outcome, recorder)?;
-    }
-    let asked_rad = 0.6667 * f64::from(control.max_tilt_rad);
-    let overshoot = steps.largest_tilt_rad / asked_rad - 1.0;
+    let mut response = StepResponse::default();
+    let outcome = Flight::new(&scene, scene.seed).run(&mut response);
+    let asked_rad = STEP_SHARE * f64::from(control.max_tilt_rad);
+    let overshoot = response.largest_tilt_rad() / asked_rad - 1.0;
+    let answered = response.answered(asked_rad);
     let table = gains_table(&control);
     text.push_str("\n\n  proposed, to go into the vehicle's file\n\n");
     text.push_str(&table);
@@ -233,20 +236,22 @@ fn proposal(
     )
     .expect("a String takes everything");
     json["proposed"]["overshoot"] = json!(overshoot);
+    json["proposed"]["step"] = json!({ "rise_s": answered.rise_s, "settled_s": answered.settled_s });
+    if let Some(path) = &arguments.report {
+        let loops: Vec<(String, f64, f64)> = all_loops(plant, &control)
+            .into_iter()
+            .map(|(name, _, margin)| (name.replace('_', " "), hz(margin.crossover_rad_s), margin.phase_deg))
+            .collect();
+        let proposal = Proposal {
+            vehicle: &vehicle.name,
+            asked_rad,
+            rotor_limits_rad_s: (vehicle.params.idle_rad_s, vehicle.params.max_rad_s),
+            gains: &table,
+            loops: &loops,
+        };
+        step_response::write(path, &proposal, &response)?;
+    }
     json["proposed"]["crash"] =
         json!(outcome.crash.map(|(crash, at_s)| format!("{} at {at_s:.3} s", crash.text())));
     Ok(outcome.crash.is_some() || overshoot > LARGEST_OVERSHOOT)
-}
-
-/// The largest tilt in truth.
-#[derive(Default)]
-struct Steps {
-    largest_tilt_rad: f64,
-}
-
-impl Observer for Steps {
-    fn step(&mut self, view: &StepView) {
-        let tilt = libm::acos(view.truth.cos_tilt().clamp(-1.0, 1.0));
-        self.largest_tilt_rad = self.largest_tilt_rad.max(tilt);
-    }
 }

@@ -1,0 +1,211 @@
+//! The page of proposed gains: how the vehicle answers a step of the stick, in truth.
+
+use std::fmt::Write as _;
+use std::path::Path;
+
+use flight_core::geometry::Vec3;
+use input::InputError;
+
+use super::figures::{TARGET, TRUTH, panel};
+use super::page::STYLE;
+use crate::chart::{self, Chart, Line, Stroke, TIME, colour, escaped};
+use crate::flight::{Observer, StepView};
+use crate::output_file::OutputFile;
+
+/// The step of the scene `steps`: when the roll stick moves, when it moves back, s, and how far, as a share of full stick.
+const STEP_S: (f64, f64) = (14.0, 14.7);
+/// 0.6667 of full stick.
+pub const STEP_SHARE: f64 = 0.6667;
+/// Shown before the step, s.
+const BEFORE_S: f64 = 0.1;
+/// A step's answer has settled when it stays within this share of what was asked for.
+const SETTLED: f64 = 0.05;
+/// Steps of the flight from one point of the plot to the next.
+const THINNED: u64 = 2;
+
+/// What is seen of the answer: time after the step (s), true roll (rad) and its rate (rad/s), rotor speeds (rad/s).
+#[derive(Clone, Debug, Default)]
+pub struct StepResponse {
+    points: Vec<(f64, f64, f64, [f64; 4])>,
+    largest_tilt_rad: f64,
+}
+
+impl Observer for StepResponse {
+    fn step(&mut self, view: &StepView) {
+        let truth = view.truth;
+        self.largest_tilt_rad = self.largest_tilt_rad.max(libm::acos(truth.cos_tilt().clamp(-1.0, 1.0)));
+        let after_s = view.time_us as f64 * 1e-6 - STEP_S.0;
+        if after_s >= -BEFORE_S && after_s <= STEP_S.1 - STEP_S.0 {
+            let Vec3 { y, z, .. } = truth.attitude.down();
+            self.points.push((after_s, libm::atan2(y, z), truth.rates.x, view.rotors_rad_s));
+        }
+    }
+}
+
+/// Figures of the answer.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Answered {
+    /// From a tenth to nine tenths of what was asked for, s; none if it did not get there.
+    pub rise_s: Option<f64>,
+    /// Beyond what was asked for, as a share of it.
+    pub overshoot: f64,
+    /// From the step until it stays within 5 %, s; none if it has not when the stick moves back.
+    pub settled_s: Option<f64>,
+}
+
+impl StepResponse {
+    /// The largest tilt of the whole flight, rad.
+    pub fn largest_tilt_rad(&self) -> f64 {
+        self.largest_tilt_rad
+    }
+
+    /// What came of a step to `asked_rad`.
+    pub fn answered(&self, asked_rad: f64) -> Answered {
+        let share = |roll_rad: f64| roll_rad / asked_rad;
+        let first =
+            |level: f64| self.points.iter().find(|point| share(point.1) >= level).map(|point| point.0);
+        let largest = self.points.iter().map(|point| share(point.1)).fold(0.0, f64::max);
+        let outside = self.points.iter().rposition(|point| (share(point.1) - 1.0).abs() > SETTLED);
+        let after = outside.map_or(0, |last| last + 1);
+        Answered {
+            rise_s: first(0.9).zip(first(0.1)).map(|(high_s, low_s)| high_s - low_s),
+            overshoot: (largest - 1.0).max(0.0),
+            settled_s: self.points.get(after).map(|point| point.0),
+        }
+    }
+
+    fn chart(&self, asked_rad: f64, rotor_limits_rad_s: (f64, f64)) -> Chart {
+        let seen = || self.points.iter().step_by(THINNED as usize);
+        let line = |label: &str, stroke: Stroke, points: Vec<(f64, f64)>| Line {
+            label: label.into(),
+            stroke,
+            points,
+        };
+        let end_s = STEP_S.1 - STEP_S.0;
+        let asked_deg = asked_rad.to_degrees();
+        let asked = vec![(-BEFORE_S, 0.0), (0.0, 0.0), (0.0, asked_deg), (end_s, asked_deg)];
+        let roll = seen().map(|point| (point.0, point.1.to_degrees())).collect();
+        let rate = seen().map(|point| (point.0, point.2.to_degrees())).collect();
+        let colours = [colour::SKY, colour::VERMILLION, colour::GREEN, colour::ORANGE];
+        let places = ["front left", "front right", "rear right", "rear left"];
+        let mut rotors: Vec<Line> = (0..4)
+            .map(|n| {
+                let speed = seen().map(|point| (point.0, point.3[n])).collect();
+                line(places[n], Stroke::solid(colours[n], 1.5), speed)
+            })
+            .collect();
+        let (slowest, fastest) = rotor_limits_rad_s;
+        for limit in [slowest, fastest] {
+            rotors.push(line("", TARGET, vec![(-BEFORE_S, limit), (end_s, limit)]));
+        }
+        Chart {
+            width: 920.0,
+            heading: None,
+            description: "Roll, its rate and the rotors' speeds after a step of the stick".into(),
+            time_s: (-BEFORE_S, end_s),
+            x_title: TIME,
+            panels: vec![
+                panel("roll", "°", 240.0, vec![line("true", TRUTH, roll), line("stick", TARGET, asked)]),
+                panel("rate", "°/s", 160.0, vec![line("true", TRUTH, rate)]),
+                panel("rotors, and their limits", "rad/s", 180.0, rotors),
+            ],
+            marks: Vec::new(),
+        }
+    }
+}
+
+/// What the page says of a vehicle.
+#[derive(Clone, Debug)]
+pub struct Proposal<'a> {
+    /// The vehicle's name.
+    pub vehicle: &'a str,
+    /// The step, rad.
+    pub asked_rad: f64,
+    /// Slowest and fastest speed of a rotor, rad/s.
+    pub rotor_limits_rad_s: (f64, f64),
+    /// The gains, as they go into the vehicle's file.
+    pub gains: &'a str,
+    /// Name, crossover (Hz) and phase margin (°) of each loop.
+    pub loops: &'a [(String, f64, f64)],
+}
+
+/// The page.
+pub fn page(proposal: &Proposal<'_>, response: &StepResponse) -> String {
+    let vehicle = escaped(proposal.vehicle);
+    let mut html = format!(
+        "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
+         <meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; style-src 'unsafe-inline'\">\n\
+         <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n\
+         <title>Gains for {vehicle} · Kestrel</title>\n<style>\n{STYLE}{}</style>\n</head>\n<body>\n<main>\n\
+         <header>\n<p class=\"kind\">Kestrel · proposed gains</p>\n<h1>{vehicle}</h1>\n\
+         <p class=\"about\">A step of the roll stick in free flight, with the sensors' noise, the rotors' lag and the \
+         drag of the scene <code>steps</code>. What is shown is the truth.</p>\n</header>\n",
+        chart::STYLE
+    );
+    let Answered { rise_s, overshoot, settled_s } = response.answered(proposal.asked_rad);
+    let time =
+        |time_s: Option<f64>| time_s.map_or("not reached".into(), |time_s| format!("{:.0} ms", time_s * 1e3));
+    let chart = response.chart(proposal.asked_rad, proposal.rotor_limits_rad_s).to_svg();
+    let _ = write!(
+        html,
+        "<figure>\n<h2>A step of {:.0}°</h2>\n<figcaption>From a tenth to nine tenths {}; overshoot {:.0} %; within 5 % \
+         after {}.</figcaption>\n<div class=\"scroll\">{chart}</div>\n</figure>\n",
+        proposal.asked_rad.to_degrees(),
+        time(rise_s),
+        overshoot * 100.0,
+        time(settled_s),
+    );
+    html.push_str("<section>\n<h2>Loops</h2>\n<table>\n<tr><th>loop</th><th>crossover, Hz</th><th>phase margin</th></tr>\n");
+    for (name, crossover_hz, margin_deg) in proposal.loops {
+        let _ = writeln!(
+            html,
+            "<tr><td>{}</td><td>{crossover_hz:.2}</td><td>{margin_deg:.0}°</td></tr>",
+            escaped(name)
+        );
+    }
+    let _ = write!(
+        html,
+        "</table>\n</section>\n<section>\n<h2>For the vehicle's file</h2>\n<pre>{}</pre>\n</section>\n</main>\n</body>\n</html>\n",
+        escaped(proposal.gains)
+    );
+    html
+}
+
+/// Writes the page: complete, or not at all.
+///
+/// # Errors
+/// A place that cannot be written.
+pub fn write(path: &Path, proposal: &Proposal<'_>, response: &StepResponse) -> Result<(), InputError> {
+    use std::io::Write as _;
+    let mut file = OutputFile::create(path)?;
+    let written = file.write_all(page(proposal, response).as_bytes());
+    written.map_err(|error| file.error(&error))?;
+    file.finish()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A second-order system, whose figures are in every textbook: ζ = 0.5 overshoots by exp(−π ζ/√(1 − ζ²)) = 16.3 %.
+    #[test]
+    fn figures_of_a_second_order_step() {
+        let (zeta, natural) = (0.5_f64, 40.0_f64);
+        let damped = natural * libm::sqrt(1.0 - zeta * zeta);
+        let roll = |t: f64| {
+            let (sine, cosine) = (libm::sin(damped * t), libm::cos(damped * t));
+            1.0 - libm::exp(-zeta * natural * t) * (cosine + zeta / libm::sqrt(1.0 - zeta * zeta) * sine)
+        };
+        let points =
+            (0..700).map(|ms| (f64::from(ms) * 1e-3, 0.5 * roll(f64::from(ms) * 1e-3), 0.0, [0.0; 4]));
+        let response = StepResponse { points: points.collect(), largest_tilt_rad: 0.0 };
+        let answered = response.answered(0.5);
+        assert!((answered.overshoot - 0.163).abs() < 1e-3, "{answered:?}");
+        // 1.64/ω for ζ = 0.5 (10 to 90 %), and the last time within 5 % at 5.29/ω.
+        assert!((answered.rise_s.unwrap() - 1.64 / natural).abs() < 2e-3, "{answered:?}");
+        assert!((answered.settled_s.unwrap() - 5.29 / natural).abs() < 3e-3, "{answered:?}");
+        let never =
+            StepResponse { points: vec![(0.0, 0.0, 0.0, [0.0; 4])], largest_tilt_rad: 0.0 }.answered(0.5);
+        assert_eq!((never.rise_s, never.settled_s), (None, None));
+    }
+}
