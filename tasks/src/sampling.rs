@@ -10,7 +10,7 @@
 //! and each of these reads is counted, and is a missed deadline, which arming is refused for.
 //!
 //! # Who has the bus
-//! The bus has one owner ([`OWNER`]):
+//! The bus has one owner:
 //!
 //! | owner | taken by | given back by |
 //! |---|---|---|

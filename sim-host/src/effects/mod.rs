@@ -17,7 +17,7 @@
 //!
 //! # Randomness
 //! Each effect draws from its own streams, one an axis, seeded by (scene seed, effect, axis): see
-//! [`crate::random`]. Switching one effect on or off never moves another's draws.
+//! [`random`]. Switching one effect on or off never moves another's draws.
 
 pub mod delivery;
 pub mod sensor;
