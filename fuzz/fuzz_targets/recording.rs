@@ -4,10 +4,10 @@
 //! comes of it is one that a scene takes.
 #![no_main]
 
+use allan::{Phase, Statistic, Taus};
 use libfuzzer_sys::fuzz_target;
 use sim_host::identify::model::{Analysed, Provenance, Role, kalibr, preset};
 use sim_host::identify::recording::{Column, Layout, Recording};
-use allan::{Phase, Statistic, Taus};
 use sim_host::scene::Scene;
 
 /// Statistics over more than this are no parsing any more.
