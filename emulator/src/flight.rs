@@ -426,6 +426,7 @@ impl Driver<FlightBoard> for Pilot {
         match settled {
             Settled::Access { access, .. } => {
                 let at = access.address;
+                let resets = session.resets().len();
                 let machine = &mut session.board_mut().machine;
                 if self.wiring.touches_pads(at) {
                     machine.follow_pads(access.virtual_time);
@@ -435,6 +436,7 @@ impl Driver<FlightBoard> for Pilot {
                 }
                 self.vectors.accessed(machine, at);
                 if board::is_dma(at) {
+                    self.rules.restarted(resets);
                     let written = access.kind == AccessKind::Write;
                     self.rules.dma_accessed(machine, at, written, access.virtual_time.0 as f64 * 1e-9);
                     for stream in machine.part.unreachable_by_dma() {

@@ -132,9 +132,13 @@ fn run(arguments: &Arguments) -> Result<(String, bool), InputError> {
 
 /// The board that is flown: that of `--board`, or of the image, or the default one.
 fn board_of(named: Option<&str>, image: Option<&Firmware>) -> Result<Board, InputError> {
-    let Some(image) = image else { return Board::load(named.unwrap_or(board::DEFAULT)) };
+    let load = |name: &str| {
+        // What is wrong within a file names the file.
+        Board::load(name).map_err(|error| if error.has_file() { error } else { error.field("--board") })
+    };
+    let Some(image) = image else { return load(named.unwrap_or(board::DEFAULT)) };
     let of_image = image.board();
-    let board = Board::load(named.unwrap_or(&of_image)).map_err(|error| match named {
+    let board = load(named.unwrap_or(&of_image)).map_err(|error| match named {
         Some(_) => error,
         None => InputError::new(format!("is for the board {of_image}, whose file --board must name"))
             .file(image.name()),

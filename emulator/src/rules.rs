@@ -33,14 +33,15 @@ pub struct Rules {
     wiring: Arc<Wiring>,
     standing: BTreeMap<String, u32>,
     broken: BTreeMap<String, f64>,
-    /// Streams of both controllers that were on at the last access.
+    /// Streams of both controllers that were on at the last access since the last reset.
     streams_on: u32,
+    resets: usize,
 }
 
 impl Rules {
     /// The rules of a board.
     pub fn new(wiring: Arc<Wiring>) -> Self {
-        Self { wiring, standing: BTreeMap::new(), broken: BTreeMap::new(), streams_on: 0 }
+        Self { wiring, standing: BTreeMap::new(), broken: BTreeMap::new(), streams_on: 0, resets: 0 }
     }
 
     /// Looks at the set-up: once a millisecond.
@@ -60,6 +61,14 @@ impl Rules {
             if *looks == LOOKS {
                 self.broken.entry(what).or_insert(now_s);
             }
+        }
+    }
+
+    /// The microcontroller has been reset so often: a reset switches all streams off.
+    pub fn restarted(&mut self, resets: usize) {
+        if resets != self.resets {
+            self.resets = resets;
+            self.streams_on = 0;
         }
     }
 

@@ -37,9 +37,21 @@ fn scenes_that_the_board_does_not_fly_are_refused() {
         &["--board = matek: must be one of speedybee-f405-v4, speedybee-f405-mini, matek-f405-te"],
     );
 
+    // An image for another board than that which is asked for, and a board's file with a mistake.
+    refuses(
+        &["hover", "--board", "matek-f405-te", "--image", &image],
+        &["is for the board speedybee-f405-v4, and --board says matek-f405-te"],
+    );
     let folder = tempfile::tempdir().unwrap();
     let scene = folder.path().join("other.toml");
     std::fs::write(&scene, "include = \"hover\"\n[scene]\nimu = \"adis16448\"\n").unwrap();
+    let board = folder.path().join("mine.toml");
+    let text = ::board::BUILT_IN[0].1.replace("\"PC13\"", "\"PC4\"");
+    std::fs::write(&board, text).unwrap();
+    refuses(
+        &["hover", "--board", board.to_str().unwrap()],
+        &["mine.toml: light.pin = PC4: is imu.ready's pin already"],
+    );
     refuses(&[scene.to_str().unwrap(), "--image", &image], &["imu: the scene's ", "icm-42688-p"]);
 }
 
