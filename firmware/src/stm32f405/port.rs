@@ -2,15 +2,14 @@
 //!
 //! Each byte is taken by an interrupt, with the time, and waits in a queue until the next tick (1 ms). At CRSF's
 //! speed that is up to 42 bytes. The port has no room for a second byte, so its interrupt comes before the flight
-//! task; it takes some forty instructions.
+//! task; it takes some twenty instructions.
 //!
 //! The interrupt's vector depends on the board, and so its handler is the board's and no task of RTIC's, which hands its
-//! tasks what they have. The handler finds its end of the queue in [`TO_QUEUE`].
+//! tasks what they have. The handler finds its end of the queue in a static.
 
-use core::cell::Cell;
+use core::cell::UnsafeCell;
 use core::marker::PhantomData;
 
-use cortex_m::interrupt::{Mutex, free};
 use heapless::spsc::{Consumer, Producer, Queue};
 use receiver::Line;
 use receiver::search::Received;
@@ -44,8 +43,12 @@ impl Wiring {
 pub type Bytes = Queue<(u32, Received), 64>;
 
 /// The interrupt's end of the queue, once the port is open.
-static TO_QUEUE: Mutex<Cell<Option<ToQueue>>> = Mutex::new(Cell::new(None));
-type ToQueue = Producer<'static, (u32, Received)>;
+struct ToQueue(UnsafeCell<Option<Producer<'static, (u32, Received)>>>);
+
+// SAFETY: it is written to once, before the port's interrupt is let in, and then only that interrupt's handler has it.
+unsafe impl Sync for ToQueue {}
+
+static TO_QUEUE: ToQueue = ToQueue(UnsafeCell::new(None));
 
 /// Takes the byte that has come: for the port's interrupt.
 #[inline]
@@ -59,15 +62,11 @@ pub fn take_byte<W: Wired>() {
         || status.nf().bit_is_set()
         || status.ore().bit_is_set();
     let received = if damaged { Received::Damaged } else { Received::Byte(byte) };
-    free(|section| {
-        let cell = TO_QUEUE.borrow(section);
-        let mut queue = cell.take();
-        if let Some(queue) = &mut queue {
-            // A queue that is full loses a byte, and with it a frame, whose checksum or length is wrong then.
-            queue.enqueue((at_us, received)).ok();
-        }
-        cell.set(queue);
-    });
+    // SAFETY: see `ToQueue`. The handler does not interrupt itself.
+    if let Some(queue) = unsafe { &mut *TO_QUEUE.0.get() } {
+        // A queue that is full loses a byte, and with it a frame, whose checksum or length is wrong then.
+        queue.enqueue((at_us, received)).ok();
+    }
 }
 
 /// The tick's side.
@@ -81,7 +80,8 @@ impl<W: Wired> Port<W> {
     /// Listens as `line` says, at a port whose pin is connected, with the clocks of APB1 and APB2.
     pub fn open(bytes: &'static mut Bytes, line: Line, [apb1_hz, apb2_hz]: [u32; 2]) -> Self {
         let (producer, consumer) = bytes.split();
-        free(|section| TO_QUEUE.borrow(section).set(Some(producer)));
+        // SAFETY: see `ToQueue`: the interrupt has not been let in yet.
+        unsafe { *TO_QUEUE.0.get() = Some(producer) };
         let clock_hz = if W::RECEIVER.on_apb2 { apb2_hz } else { apb1_hz };
         let mut port = Self { bytes: consumer, clock_hz, wiring: PhantomData };
         port.set(line);
