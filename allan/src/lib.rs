@@ -13,7 +13,7 @@
 //! use allan::{Phase, Statistic, Taus, deviations};
 //! let samples: Vec<f64> = (0..1_000).map(|n| f64::from(n * n % 7)).collect();
 //! let phase = Phase::of_rate(samples, 0.01);
-//! # let factors = [1, 2, 4];
+//! let factors = Taus::Octave.factors(phase.samples() / 2);
 //! for point in deviations(&phase, Statistic::Overlapping, &factors, 1, &|_, _| ()) {
 //!     println!("{} s: {} ({} to {})", point.tau_s, point.deviation, point.lower, point.upper);
 //! }

@@ -105,7 +105,7 @@ pub struct Stream {
     pub channel: u8,
 }
 
-/// Whoever needs a stream, and those that it can take, the preferred one first.
+/// A need for a stream, and the streams that can serve it, the preferred one first.
 #[derive(Clone, Debug)]
 pub struct Need {
     /// For people: `TIM1 update`.

@@ -51,6 +51,22 @@ fn matrix(axes: &Axes) -> String {
     format!("Mat3 {{ rows: [{}] }}", rows.join(", "))
 }
 
+/// A function that calls `pac::NAME::METHOD_unchecked` for each name.
+fn unchecked(
+    out: &mut String,
+    function: &str,
+    safety: &str,
+    method: &str,
+    names: &[impl std::fmt::Display],
+) -> std::fmt::Result {
+    writeln!(out, "/// # Safety\n/// {safety}\npub unsafe fn {function}() {{")?;
+    writeln!(out, "    // SAFETY: the caller's.\n    unsafe {{")?;
+    for name in names {
+        writeln!(out, "        pac::{name}::{method}_unchecked();")?;
+    }
+    writeln!(out, "    }}\n}}")
+}
+
 impl Board {
     /// The text of the firmware's `wiring` module.
     pub fn wiring(&self) -> String {
@@ -130,31 +146,15 @@ impl Board {
             self.timers.iter().map(|timer| format!("DMA{}", timer.stream.controller)).collect();
         controllers.sort();
         controllers.dedup();
-        writeln!(
-            out,
-            "/// # Safety\n/// Whoever calls it has the timers.\npub unsafe fn enable_motor_timers() {{"
-        )?;
-        writeln!(out, "    // SAFETY: the caller's.\n    unsafe {{")?;
-        for name in names.iter().copied().chain(controllers.iter().map(String::as_str)) {
-            writeln!(out, "        pac::{name}::enable_unchecked();")?;
-        }
-        writeln!(
-            out,
-            "    }}\n}}\n/// # Safety\n/// Whoever calls it has the timers.\npub unsafe fn reset_motor_timers() {{"
-        )?;
-        writeln!(out, "    // SAFETY: the caller's.\n    unsafe {{")?;
-        for name in &names {
-            writeln!(out, "        pac::{name}::reset_unchecked();")?;
-        }
-        writeln!(
-            out,
-            "    }}\n}}\n/// # Safety\n/// Nothing else uses the ports.\npub unsafe fn enable_motor_ports() {{"
-        )?;
-        writeln!(out, "    // SAFETY: the caller's.\n    unsafe {{")?;
-        for letter in ports(self.motors.iter().map(|motor| motor.connection.pin)) {
-            writeln!(out, "        pac::GPIO{letter}::enable_unchecked();")?;
-        }
-        writeln!(out, "    }}\n}}\npub fn hold_motor_timers_in_debug_halts(debug: &pac::DBGMCU) {{")?;
+        let timers = "Nobody else uses the timers.";
+        let clocked: Vec<&str> =
+            names.iter().copied().chain(controllers.iter().map(String::as_str)).collect();
+        unchecked(out, "enable_motor_timers", timers, "enable", &clocked)?;
+        unchecked(out, "reset_motor_timers", timers, "reset", &names)?;
+        let ports = ports(self.motors.iter().map(|motor| motor.connection.pin));
+        let ports: Vec<String> = ports.into_iter().map(|letter| format!("GPIO{letter}")).collect();
+        unchecked(out, "enable_motor_ports", "Nobody else uses the ports.", "enable", &ports)?;
+        writeln!(out, "pub fn hold_motor_timers_in_debug_halts(debug: &pac::DBGMCU) {{")?;
         for name in &names {
             let freeze = if advanced(name) { "apb2_fz" } else { "apb1_fz" };
             let bit = name.to_lowercase();

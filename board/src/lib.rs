@@ -21,7 +21,7 @@ use std::path::Path;
 use input::InputError;
 use input::axes::Axes;
 use input::check::{unknown, within};
-use input::layers::{Layers, text_of};
+use input::layers::{Layers, built_in_or_file, text_of};
 
 pub use chip::Stream;
 pub use file::Lit;
@@ -191,17 +191,12 @@ impl Board {
     /// # Errors
     /// A name that is neither, with the nearest built-in one; anything wrong in the file.
     pub fn load(name_or_path: &str) -> Result<Self, InputError> {
-        if let Some((name, text)) = BUILT_IN.iter().find(|(name, _)| *name == name_or_path) {
-            return Self::parse(name, &format!("board {name}"), text);
-        }
-        if name_or_path.ends_with(".toml") {
-            let path = Path::new(name_or_path);
-            let text = text_of(path)
-                .map_err(|error| InputError::new(format!("cannot be read: {error}")).file(path))?;
-            let name = path.file_stem().map_or("".into(), |stem| stem.to_string_lossy());
-            return Self::parse(&name, name_or_path, &text);
-        }
-        Err(unknown("board", name_or_path, BUILT_IN.iter().map(|board| board.0)))
+        let (place, text) = built_in_or_file("board", BUILT_IN, name_or_path, Path::new(""), &text_of)
+            .map_err(|(path, error)| InputError::new(format!("cannot be read: {error}")).file(path))?
+            .ok_or_else(|| unknown("board", name_or_path, BUILT_IN.iter().map(|board| board.0)))?;
+        // A built-in name has no suffix.
+        let name = Path::new(name_or_path).file_stem().map_or("".into(), |stem| stem.to_string_lossy());
+        Self::parse(&name, &place, &text)
     }
 
     /// The interrupt vector of the inertial sensor's data-ready line.

@@ -1,15 +1,12 @@
 //! The image: an ELF file, checked before anything is emulated.
 
-use std::ffi::OsStr;
 use std::fs;
-use std::io::{IsTerminal as _, stderr};
 use std::path::{Path, PathBuf};
-use std::process::Command;
 
 use input::InputError;
 use object::{Architecture, Object as _, ObjectSegment as _, ObjectSymbol as _};
 use rigless::image::Image;
-use sim_host::image::image_sha256;
+use sim_host::image::{self, image_sha256};
 
 /// Where the configuration is stored: sector 1 (memory.x).
 pub const CONFIGURATION: u64 = 0x0800_4000;
@@ -21,9 +18,6 @@ const SRAM: std::ops::Range<u64> = 0x2000_0000..0x2002_0000;
 const CCM: std::ops::Range<u64> = 0x1000_0000..0x1001_0000;
 const FLASH: std::ops::Range<u64> = 0x0800_0000..0x0810_0000;
 const CONFIGURATION_SECTORS: std::ops::Range<u64> = CONFIGURATION..0x0800_c000;
-
-/// The compilation target.
-const TARGET: &str = "thumbv7em-none-eabihf";
 
 /// A firmware's image.
 #[derive(Debug)]
@@ -43,50 +37,15 @@ impl Firmware {
     /// # Errors
     /// The sources are not there, or do not build.
     pub fn build(variables: &[(&str, &str)]) -> Result<Self, InputError> {
-        let refused =
-            |what: String| InputError::new(format!("{what}: name an image by --image ELF")).file("firmware");
-        let workspace = Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap_or(Path::new("/"));
-        if !workspace.join("firmware/Cargo.toml").exists() {
-            return Err(refused(format!("the sources are not in {}", workspace.display())));
-        }
-        let targets =
-            std::env::var_os("CARGO_TARGET_DIR").map_or_else(|| workspace.join("target"), PathBuf::from);
         let kind = match variables {
             [] => "board".into(),
             _ => variables.iter().map(|(_, value)| value.replace('/', "-")).collect::<Vec<_>>().join(","),
         };
-        let target = std::path::absolute(targets.join("flash-image").join(kind))
-            .map_err(|error| refused(format!("no target directory: {error}")))?;
-        let mut cargo = Command::new(std::env::var_os("CARGO").as_deref().unwrap_or(OsStr::new("cargo")));
-        cargo
-            .current_dir(workspace)
-            // As the alias flash-fw of .cargo/config.toml, but for `run`.
-            .args([
-                "build",
-                "--profile",
-                "flash",
-                "--package",
-                "firmware",
-                "--target",
-                TARGET,
-                "--target-dir",
-            ])
-            .arg(&target)
-            // These would replace the link arguments of .cargo/config.toml.
-            .env_remove("RUSTFLAGS")
-            .env_remove("CARGO_ENCODED_RUSTFLAGS")
-            .env_remove("KESTREL_BOARD")
-            .env_remove("KESTREL_ESC")
-            .env_remove("KESTREL_VEHICLE")
-            .envs(variables.iter().copied());
-        if !stderr().is_terminal() {
-            cargo.arg("--quiet");
-        }
-        let status = cargo.status().map_err(|error| refused(format!("cargo does not run ({error})")))?;
-        if !status.success() {
-            return Err(refused("the image does not build".into()));
-        }
-        Self::read(&target.join(TARGET).join("flash/firmware"))
+        let built = image::build(&format!("flash-image/{kind}"), "--image ELF", |cargo| {
+            cargo.env_remove("KESTREL_BOARD").env_remove("KESTREL_ESC").env_remove("KESTREL_VEHICLE");
+            cargo.envs(variables.iter().copied());
+        })?;
+        Self::read(&built)
     }
 
     /// Reads an image.

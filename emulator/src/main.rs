@@ -18,15 +18,11 @@ use emulator::radio::Protocol;
 use emulator::timing::INSTRUCTIONS_PER_SECOND;
 use input::InputError;
 use serde_json::{Value, json};
+use sim_host::command::{Answer, conclude};
 use sim_host::flight::{FlightLog, summary};
+use sim_host::interrupt;
 use sim_host::output_file::spare;
 use sim_host::scene::Scene;
-use sim_host::{interrupt, output_file};
-
-/// Exit code of a flight that failed.
-const FAILED: u8 = 1;
-/// Exit code of bad input; clap's own for usage.
-const BAD_INPUT: u8 = 2;
 
 #[derive(Parser)]
 #[command(
@@ -70,20 +66,10 @@ struct Arguments {
 fn main() -> ExitCode {
     let arguments = Arguments::parse();
     interrupt::listen();
-    let answered = run(&arguments).and_then(|(text, failed)| {
-        output_file::print(text.trim_end())?;
-        Ok(failed)
-    });
-    match answered {
-        Ok(failed) => ExitCode::from(if failed { FAILED } else { 0 }),
-        Err(error) => {
-            eprintln!("error: {error}");
-            ExitCode::from(BAD_INPUT)
-        }
-    }
+    conclude(run(&arguments), arguments.json)
 }
 
-fn run(arguments: &Arguments) -> Result<(String, bool), InputError> {
+fn run(arguments: &Arguments) -> Result<Answer, InputError> {
     let mut scene = Scene::load_with_vehicle(&arguments.scene, arguments.vehicle.as_deref())?;
     if let Some(seed) = arguments.seed {
         scene.seed = seed;
@@ -121,13 +107,11 @@ fn run(arguments: &Arguments) -> Result<(String, bool), InputError> {
         log.finish()?;
     }
     let complaints = complaints(&flown);
-    let failed = !complaints.is_empty();
-    let text = if arguments.json {
-        to_json(&scene, &firmware, &wiring, &flown, &complaints, wall_s).to_string()
-    } else {
-        describe(&scene, &firmware, &wiring, &flown, &complaints, wall_s)
-    };
-    Ok((text, failed))
+    Ok(Answer {
+        json: to_json(&scene, &firmware, &wiring, &flown, &complaints, wall_s),
+        text: describe(&scene, &firmware, &wiring, &flown, &complaints, wall_s),
+        failed: !complaints.is_empty(),
+    })
 }
 
 /// The board that is flown: that of `--board`, or of the image, or the default one.

@@ -5,7 +5,6 @@
 //! floating-point unit and the firmware's own wiring of the flight controller add nothing and lose nothing.
 
 use flight_core::calibration::Sensitivity;
-use flight_core::geometry::{Mat3, Vec3};
 use flight_core::record::{Outcome, StepRecord};
 use flight_core::{Config, FlightController};
 use input::axes::Axes;
@@ -15,16 +14,12 @@ use crate::board::Wiring;
 /// The configuration that the firmware flies with: the stored one, with the sensors mounted as on the board.
 pub fn on_board(config: &Config, wiring: &Wiring) -> Config {
     let mut config = *config;
-    let mounted = |axes: &Axes, sensor: Sensitivity| Sensitivity { mounting: mounting(axes), ..sensor };
+    let mounted =
+        |axes: &Axes, sensor: Sensitivity| Sensitivity { mounting: vehicle::matrix(axes), ..sensor };
     config.params.gyro = mounted(&wiring.imu_axes, config.params.gyro);
     config.params.accel = mounted(&wiring.imu_axes, config.params.accel);
     config.params.mag = mounted(&wiring.compass_axes, config.params.mag);
     config
-}
-
-/// From the chip's axes to the body's.
-fn mounting(axes: &Axes) -> Mat3<f32> {
-    Mat3 { rows: axes.rows().map(|row| Vec3::from(row.map(f32::from))) }
 }
 
 /// The first step whose outcome differs: its place among the records, and what came here.

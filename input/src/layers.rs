@@ -6,7 +6,7 @@
 
 use std::fs::File;
 use std::io::{self, Read as _};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use serde::de::DeserializeOwned;
 use toml::Spanned;
@@ -29,6 +29,34 @@ pub fn text_of(path: &Path) -> io::Result<String> {
         return Err(io::Error::other(format!("longer than {LONGEST_TEXT} bytes")));
     }
     Ok(text)
+}
+
+/// A file that can't be read, and why.
+pub type Unreadable = (PathBuf, io::Error);
+
+/// The name for errors and the text of a built-in `kind` of this name, or of a file of TOML beside `from`; nothing, if `name`
+/// is neither.
+///
+/// # Errors
+/// A file that can't be read.
+pub fn built_in_or_file(
+    kind: &str,
+    built_in: &[(&str, &str)],
+    name: &str,
+    from: &Path,
+    read: ReadText,
+) -> Result<Option<(String, String)>, Unreadable> {
+    if let Some((_, text)) = built_in.iter().find(|(built_in, _)| *built_in == name) {
+        return Ok(Some((format!("{kind} {name}"), (*text).into())));
+    }
+    if !name.ends_with(".toml") {
+        return Ok(None);
+    }
+    let path = from.with_file_name(name);
+    match read(&path) {
+        Ok(text) => Ok(Some((path.display().to_string(), text))),
+        Err(error) => Err((path, error)),
+    }
 }
 
 /// The texts that a scene was put together from.

@@ -5,6 +5,12 @@
 //! SHA-256 of these bytes from the lowest address to the highest, with zeros in between: of the file that
 //! `objcopy -O binary` writes. `docs/hardware.md` has the commands that check it without this program.
 
+use std::env;
+use std::ffi::OsStr;
+use std::io::{IsTerminal as _, stderr};
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
 use elf::ElfBytes;
 use elf::abi::{EM_ARM, PT_LOAD};
 use elf::endian::LittleEndian;
@@ -60,6 +66,45 @@ pub fn flashed_bytes(elf: &[u8]) -> Result<(u32, Vec<u8>), InputError> {
 pub fn image_sha256(elf: &[u8]) -> Result<String, InputError> {
     let (_, bytes) = flashed_bytes(elf)?;
     Ok(hmac_sha256::Hash::hash(&bytes).iter().map(|byte| format!("{byte:02x}")).collect())
+}
+
+/// The firmware's target.
+const TARGET: &str = "thumbv7em-none-eabihf";
+
+/// Builds an image of the firmware, from the sources that this program was built from, into a folder of the target directory
+/// of its own: an outer build's is locked. `set_up` gives cargo what this image needs besides; `option` is how an image can
+/// be named instead, for errors.
+///
+/// # Errors
+/// No sources, no cargo, or an image that does not build.
+pub fn build(folder: &str, option: &str, set_up: impl FnOnce(&mut Command)) -> Result<PathBuf, InputError> {
+    let refused =
+        |what: String| InputError::new(format!("{what}: name an image by {option}")).file("firmware");
+    let workspace = Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap_or(Path::new("/"));
+    if !workspace.join("firmware/Cargo.toml").exists() {
+        return Err(refused(format!("the sources are not in {}", workspace.display())));
+    }
+    let targets = env::var_os("CARGO_TARGET_DIR").map_or_else(|| workspace.join("target"), PathBuf::from);
+    let target = std::path::absolute(targets.join(folder))
+        .map_err(|error| refused(format!("no target directory: {error}")))?;
+    let mut cargo = Command::new(env::var_os("CARGO").as_deref().unwrap_or(OsStr::new("cargo")));
+    cargo
+        .current_dir(workspace)
+        // As the alias flash-fw of .cargo/config.toml, but for `run`.
+        .args(["build", "--profile", "flash", "--package", "firmware", "--target", TARGET, "--target-dir"])
+        .arg(&target)
+        // These would replace the link arguments of .cargo/config.toml.
+        .env_remove("RUSTFLAGS")
+        .env_remove("CARGO_ENCODED_RUSTFLAGS");
+    set_up(&mut cargo);
+    if !stderr().is_terminal() {
+        cargo.arg("--quiet");
+    }
+    let status = cargo.status().map_err(|error| refused(format!("cargo does not run ({error})")))?;
+    if !status.success() {
+        return Err(refused("the image does not build".into()));
+    }
+    Ok(target.join(TARGET).join("flash/firmware"))
 }
 
 #[cfg(test)]

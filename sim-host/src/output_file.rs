@@ -79,6 +79,26 @@ impl OutputFile {
     }
 }
 
+/// Writes a file of text: complete, or not at all.
+///
+/// # Errors
+/// A place that cannot be written.
+pub fn write(path: impl AsRef<Path>, text: &str) -> Result<(), InputError> {
+    let mut file = OutputFile::create(path)?;
+    file.write_text(text)?;
+    file.finish()
+}
+
+impl OutputFile {
+    /// Writes text into a file that has been begun.
+    ///
+    /// # Errors
+    /// A disk that is full, and the like.
+    pub fn write_text(&mut self, text: &str) -> Result<(), InputError> {
+        self.write_all(text.as_bytes()).map_err(|error| self.error(&error))
+    }
+}
+
 impl Write for OutputFile {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         self.sink.write(bytes)

@@ -22,15 +22,13 @@ mod recorder;
 pub mod step_response;
 mod trace;
 
-use std::io::Write as _;
 use std::path::Path;
 
-pub use page::STYLE;
-pub use page::page;
+pub use page::{begin, page};
 pub use recorder::{Channel, Recorder};
 
 use crate::flight::Outcome;
-use crate::output_file::OutputFile;
+use crate::output_file;
 use crate::scene::Scene;
 use input::InputError;
 
@@ -45,10 +43,7 @@ pub fn write(
     outcome: &Outcome,
     recorder: &Recorder,
 ) -> Result<(), InputError> {
-    let mut file = OutputFile::create(path)?;
-    let written = file.write_all(page(scene, seed, outcome, recorder).as_bytes());
-    written.map_err(|error| file.error(&error))?;
-    file.finish()
+    output_file::write(path, &page(scene, seed, outcome, recorder))
 }
 
 #[cfg(test)]

@@ -1,10 +1,9 @@
 //! The command `cost`: what accuracy costs in time.
 
-use std::io::Write as _;
 use std::path::PathBuf;
 
 use input::InputError;
-use sim_host::output_file::OutputFile;
+use sim_host::output_file::{self, OutputFile};
 use studies::cost::{self, Options};
 
 use sim_host::command::{Answer, progress_bar};
@@ -48,18 +47,14 @@ pub fn run(arguments: &CostArguments) -> Result<Answer, InputError> {
     bar.finish_and_clear();
     if let Some(directory) = &arguments.csv {
         for study in &studies {
-            let file = |name: String| OutputFile::create(directory.join(name));
-            write(file(format!("{}.csv", study.name))?, &cost::csv(study))?;
-            write(file(format!("{}-timing.csv", study.name))?, &cost::timing_csv(study))?;
+            let file = |addition: &str| directory.join(format!("{}{addition}.csv", study.name));
+            output_file::write(file(""), &cost::csv(study))?;
+            output_file::write(file("-timing"), &cost::timing_csv(study))?;
         }
     }
-    if let Some(report) = report {
-        write(report, &cost::page(&studies))?;
+    if let Some(mut report) = report {
+        report.write_text(&cost::page(&studies))?;
+        report.finish()?;
     }
     Ok(Answer { json: cost::to_json(&studies), text: cost::text(&studies), failed: false })
-}
-
-fn write(mut file: OutputFile, text: &str) -> Result<(), InputError> {
-    file.write_all(text.as_bytes()).map_err(|error| file.error(&error))?;
-    file.finish()
 }

@@ -26,7 +26,7 @@ use flight_core::mixer::{Airframe, Spin};
 use flight_core::rc::{ArmBy, ChannelMap};
 use input::InputError;
 use input::axes::Axes;
-use input::layers::{Layers, ReadText, text_of};
+use input::layers::{Layers, ReadText, built_in_or_file, text_of};
 use toml::de::DeTable;
 
 pub use file::estimator;
@@ -262,7 +262,6 @@ impl Vehicle {
 
     /// `params` for a board that is built into this vehicle: with how it lies there, and how the magnetometer does.
     pub fn mounted(&self, mut params: Params) -> Params {
-        let matrix = |axes: &Axes| Mat3 { rows: axes.rows().map(|row| Vec3::from(row.map(f32::from))) };
         params.gyro.mounting = matrix(&self.board_axes);
         params.accel.mounting = matrix(&self.board_axes);
         params.mag.mounting = matrix(&self.compass_axes);
@@ -270,22 +269,19 @@ impl Vehicle {
     }
 }
 
+/// A mounting as the rotation from a chip's axes to the body's.
+pub fn matrix(axes: &Axes) -> Mat3<f32> {
+    Mat3 { rows: axes.rows().map(|row| Vec3::from(row.map(f32::from))) }
+}
+
 /// Name and text of a built-in vehicle, or of a file beside `from`.
 ///
 /// # Errors
 /// Neither, with the nearest built-in one.
 pub fn find(name: &str, from: &Path, read: ReadText) -> Result<(String, String), InputError> {
-    if let Some((name, text)) = BUILT_IN.iter().find(|(built_in, _)| *built_in == name) {
-        return Ok((format!("vehicle {name}"), (*text).into()));
-    }
-    if name.ends_with(".toml") {
-        let path = from.with_file_name(name);
-        let text = read(&path)
-            .map_err(|error| InputError::new(format!("{} cannot be read: {error}", path.display())))?;
-        return Ok((path.display().to_string(), text));
-    }
-    let names = BUILT_IN.iter().map(|vehicle| vehicle.0);
-    Err(input::check::unknown("vehicle", name, names))
+    built_in_or_file("vehicle", BUILT_IN, name, from, read)
+        .map_err(|(path, error)| InputError::new(format!("{} cannot be read: {error}", path.display())))?
+        .ok_or_else(|| input::check::unknown("vehicle", name, BUILT_IN.iter().map(|vehicle| vehicle.0)))
 }
 
 #[cfg(test)]

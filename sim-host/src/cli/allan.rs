@@ -1,7 +1,6 @@
 //! The command `allan`: from a recording to a sensor's figures.
 
 use std::fmt::Write as _;
-use std::io::Write as _;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -13,7 +12,7 @@ use serde_json::{Map, Value, json};
 use sim_host::identify::model::{self, Analysed, Provenance, Role};
 use sim_host::identify::plot;
 use sim_host::identify::recording::{Column, Layout, Recording};
-use sim_host::output_file::{OutputFile, spare};
+use sim_host::output_file::{self, spare};
 
 use super::{Answer, progress};
 
@@ -323,9 +322,7 @@ fn write_files(
         files.push((path, plot::chart(heading, panels.collect()).to_svg_file()));
     }
     for (path, text) in files {
-        let mut file = OutputFile::create(path)?;
-        file.write_all(text.as_bytes()).map_err(|error| file.error(&error))?;
-        file.finish()?;
+        output_file::write(path, &text)?;
     }
     Ok(())
 }

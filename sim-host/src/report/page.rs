@@ -13,20 +13,24 @@ use crate::flight::Outcome;
 use crate::pilot::{Base, FRAME_RATE_HZ, PilotScript, Plan};
 use crate::scene::{DEFAULT_RATE_HZ, MAG_RATE_HZ, Scene};
 
-/// The style of the pages.
-pub const STYLE: &str = include_str!("style.css");
-
-/// The page of a flight of `scene` with `seed`.
-pub fn page(scene: &Scene, seed: u64, outcome: &Outcome, recorder: &Recorder) -> String {
-    let title = escaped(&scene.name);
-    let mut html = format!(
+/// The beginning of every page, up to its first header. It loads and runs nothing. `title` is HTML, `style` is CSS that only
+/// this page has.
+pub fn begin(title: &str, style: &str) -> String {
+    format!(
         "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
          <meta http-equiv=\"Content-Security-Policy\" \
          content=\"default-src 'none'; style-src 'unsafe-inline'\">\n\
          <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n\
-         <title>{title} · seed {seed} · Kestrel</title>\n<style>\n{STYLE}{}</style>\n</head>\n<body>\n<main>\n",
+         <title>{title} · Kestrel</title>\n<style>\n{}{}{style}</style>\n</head>\n<body>\n<main>\n",
+        include_str!("style.css"),
         chart::STYLE
-    );
+    )
+}
+
+/// The page of a flight of `scene` with `seed`.
+pub fn page(scene: &Scene, seed: u64, outcome: &Outcome, recorder: &Recorder) -> String {
+    let title = escaped(&scene.name);
+    let mut html = begin(&format!("{title} · seed {seed}"), "");
     header(&mut html, scene, seed, outcome);
     cards(&mut html, scene, outcome);
     simulated(&mut html, scene, seed);

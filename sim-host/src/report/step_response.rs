@@ -7,10 +7,10 @@ use flight_core::geometry::Vec3;
 use input::InputError;
 
 use super::figures::{TARGET, TRUTH, panel};
-use super::page::STYLE;
-use crate::chart::{self, Chart, Line, Stroke, TIME, colour, escaped};
+use super::page::begin;
+use crate::chart::{Chart, Line, Stroke, TIME, colour, escaped};
 use crate::flight::{Observer, StepView};
-use crate::output_file::OutputFile;
+use crate::output_file;
 
 /// The step of the scene `steps`: when the roll stick moves, when it moves back, s, and how far, as a share of full stick.
 const STEP_S: (f64, f64) = (14.0, 14.7);
@@ -132,15 +132,12 @@ pub struct Proposal<'a> {
 /// The page.
 pub fn page(proposal: &Proposal<'_>, response: &StepResponse) -> String {
     let vehicle = escaped(proposal.vehicle);
-    let mut html = format!(
-        "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
-         <meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; style-src 'unsafe-inline'\">\n\
-         <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n\
-         <title>Gains for {vehicle} · Kestrel</title>\n<style>\n{STYLE}{}</style>\n</head>\n<body>\n<main>\n\
-         <header>\n<p class=\"kind\">Kestrel · proposed gains</p>\n<h1>{vehicle}</h1>\n\
+    let mut html = begin(&format!("Gains for {vehicle}"), "");
+    let _ = write!(
+        html,
+        "<header>\n<p class=\"kind\">Kestrel · proposed gains</p>\n<h1>{vehicle}</h1>\n\
          <p class=\"about\">A step of the roll stick in free flight, with the sensors' noise, the rotors' lag and the \
-         drag of the scene <code>steps</code>. What is shown is the truth.</p>\n</header>\n",
-        chart::STYLE
+         drag of the scene <code>steps</code>. What is shown is the truth.</p>\n</header>\n"
     );
     let Answered { rise_s, overshoot, settled_s } = response.answered(proposal.asked_rad);
     let time =
@@ -176,11 +173,7 @@ pub fn page(proposal: &Proposal<'_>, response: &StepResponse) -> String {
 /// # Errors
 /// A place that cannot be written.
 pub fn write(path: &Path, proposal: &Proposal<'_>, response: &StepResponse) -> Result<(), InputError> {
-    use std::io::Write as _;
-    let mut file = OutputFile::create(path)?;
-    let written = file.write_all(page(proposal, response).as_bytes());
-    written.map_err(|error| file.error(&error))?;
-    file.finish()
+    output_file::write(path, &page(proposal, response))
 }
 
 #[cfg(test)]

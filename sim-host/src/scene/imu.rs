@@ -12,7 +12,7 @@ use super::effects::Effects;
 use crate::sensors::Converter;
 use input::InputError;
 use input::check;
-use input::layers::{Layers, ReadText};
+use input::layers::{Layers, ReadText, built_in_or_file};
 
 macro_rules! presets {
     ($($name:literal),+ $(,)?) => {
@@ -25,20 +25,14 @@ pub const PRESETS: &[(&str, &str)] = presets!["paper", "icm-42688-p", "mpu-6050"
 
 /// Name and text of a built-in preset, or of a file beside the scene.
 pub fn find(imu: &str, scene: &Path, read: ReadText) -> Result<(String, String), InputError> {
-    if let Some((name, text)) = PRESETS.iter().find(|(name, _)| *name == imu) {
-        return Ok((format!("imu {name}"), (*text).into()));
-    }
-    let path = scene.with_file_name(imu);
-    if imu.ends_with(".toml") {
-        let text = read(&path).map_err(|error| {
+    built_in_or_file("imu", PRESETS, imu, scene, read)
+        .map_err(|(path, error)| {
             InputError::new(format!("cannot be read: {error}"))
                 .file(scene)
                 .field("scene.imu")
                 .value(path.display())
-        })?;
-        return Ok((path.display().to_string(), text));
-    }
-    Err(check::unknown("scene.imu", imu, PRESETS.iter().map(|preset| preset.0)).file(scene))
+        })?
+        .ok_or_else(|| check::unknown("scene.imu", imu, PRESETS.iter().map(|preset| preset.0)).file(scene))
 }
 
 /// A preset file.

@@ -5,7 +5,8 @@ use std::fmt::Write as _;
 use super::table::{columns, number, shown};
 use super::{Axis, Setting, Study};
 use sim_host::chart::log_log::{Chart, Label, Line, Panel};
-use sim_host::chart::{self, Stroke, colour, escaped};
+use sim_host::chart::{Stroke, colour, escaped};
+use sim_host::report::begin;
 
 /// Fits a README and a page, px.
 const WIDTH: f64 = 900.0;
@@ -104,20 +105,14 @@ fn series(study: &Study) -> Vec<(&str, Stroke)> {
 
 /// The page.
 pub fn page(studies: &[Study]) -> String {
-    let mut html = format!(
-        "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
-         <meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; style-src 'unsafe-inline'\">\n\
-         <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n\
-         <title>What accuracy costs · Kestrel</title>\n<style>\n{}{}{}</style>\n</head>\n<body>\n<main>\n\
-         <header>\n<p class=\"kind\">Kestrel · error against cost</p>\n<h1>What accuracy costs</h1>\n\
+    let mut html = begin("What accuracy costs", include_str!("page.css"));
+    html.push_str(
+        "<header>\n<p class=\"kind\">Kestrel · error against cost</p>\n<h1>What accuracy costs</h1>\n\
          <p class=\"about\">Parts of the flight code and of the simulator, each swept over its settings and judged \
          against a reference that is independent of it.</p>\n\
          <p class=\"facts\">Grey band and bold: the Pareto front, settings that no other of the same problem beats in \
          error and cost. Black dot and “default”: what Kestrel does unless told otherwise. Errors and instructions are \
          the same in every run; times are this machine's.</p>\n</header>\n",
-        sim_host::report::STYLE,
-        chart::STYLE,
-        include_str!("page.css"),
     );
     for study in studies {
         section(&mut html, study);

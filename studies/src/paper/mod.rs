@@ -11,12 +11,12 @@ mod spectrum;
 mod table_2;
 
 use std::fmt::Write as _;
-use std::io::Write as _;
 use std::path::Path;
 
 use input::InputError;
-use sim_host::chart::{self, escaped};
-use sim_host::output_file::OutputFile;
+use sim_host::chart::escaped;
+use sim_host::output_file;
+use sim_host::report::begin;
 
 /// A table or a figure.
 #[derive(Clone, Debug)]
@@ -71,39 +71,28 @@ pub fn make(out: &Path, recordings: Option<&Path>, progress: &dyn Fn(u64)) -> Re
     progress(100);
     let made = Made { tables, figures, left_out };
     for exhibit in made.tables.iter().chain(&made.figures) {
-        write(&out.join(format!("{}.csv", exhibit.name)), &exhibit.csv)?;
+        output_file::write(out.join(format!("{}.csv", exhibit.name)), &exhibit.csv)?;
         for (addition, csv) in &exhibit.further {
-            write(&out.join(format!("{}{addition}.csv", exhibit.name)), csv)?;
+            output_file::write(out.join(format!("{}{addition}.csv", exhibit.name)), csv)?;
         }
     }
     // The page last: when it is there, so is everything that it links to.
-    write(&out.join("index.html"), &page(&made))?;
+    output_file::write(out.join("index.html"), &page(&made))?;
     Ok(made)
 }
 
-fn write(path: &Path, text: &str) -> Result<(), InputError> {
-    let mut file = OutputFile::create(path)?;
-    file.write_all(text.as_bytes()).map_err(|error| file.error(&error))?;
-    file.finish()
-}
-
 fn page(made: &Made) -> String {
-    let mut html = format!(
-        "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
-         <meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; style-src 'unsafe-inline'\">\n\
-         <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n\
-         <title>The paper's tables and figures · Kestrel</title>\n<style>\n{}{}{}</style>\n</head>\n<body>\n<main>\n\
-         <header>\n<p class=\"kind\">Kestrel · the paper, made again</p>\n\
+    let style = "td.n,th.n{text-align:right;font-variant-numeric:tabular-nums;width:auto}\n\
+         table.data{width:auto;min-width:60%}\ntable.data th{width:auto;color:#333;font-weight:600}\n\
+         .pair{display:flex;gap:10px}.pair .chart{flex:1 1 0;min-width:0}\n";
+    let mut html = begin("The paper's tables and figures", style);
+    html.push_str(
+        "<header>\n<p class=\"kind\">Kestrel · the paper, made again</p>\n\
          <h1>Modelling inertial measurement unit error parameters for an unmanned air vehicle</h1>\n\
          <p class=\"about\">Tables and figures of Altınöz, Eken, Cönger and Can (2024), from this project's own \
          simulation and analysis, beside what the paper prints.</p>\n\
          <p class=\"facts\">Every number on this page is in a CSV file beside it. The same program makes the same \
          page, to the byte.</p>\n</header>\n",
-        sim_host::report::STYLE,
-        chart::STYLE,
-        "td.n,th.n{text-align:right;font-variant-numeric:tabular-nums;width:auto}\n\
-         table.data{width:auto;min-width:60%}\ntable.data th{width:auto;color:#333;font-weight:600}\n\
-         .pair{display:flex;gap:10px}.pair .chart{flex:1 1 0;min-width:0}\n"
     );
     for exhibit in made.tables.iter().chain(&made.figures) {
         let name = &exhibit.name;
