@@ -1,6 +1,7 @@
 //! A board as a wiring table, and the microcontroller with what is soldered and plugged to it.
 
 use std::num::{NonZeroU32, NonZeroU64};
+use std::ops::Range;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -122,9 +123,6 @@ pub struct Wiring {
     pub connections: Vec<Connection>,
     /// The handlers that run in flight.
     pub handlers: [Handler; HANDLERS],
-    /// Registers by which a motor pad's level may be changed: first addresses, and their lengths.
-    motor_timers: Vec<(u64, u64)>,
-    motor_ports: Vec<(u64, u64)>,
 }
 
 impl Wiring {
@@ -160,9 +158,6 @@ impl Wiring {
         });
         let serial = board.receiver.peripheral.as_str();
         let compass_i2c = board.compass.scl.peripheral.trim_start_matches("I2C").parse::<usize>();
-        let motor_timers =
-            board.timers.iter().map(|timer| (address_of(&timer.name).expect("it has an address"), 0x400));
-        let motor_ports = pads.iter().map(|pad| (0x4002_0000 + 0x400 * pad.wire.port as u64, 0x400));
         Self {
             imu_axes: board.imu.axes.within(&vehicle.board_axes),
             imu_max_hz: 24_000_000,
@@ -170,39 +165,12 @@ impl Wiring {
             compass_hz: 400_000,
             compass_i2c: compass_i2c.expect("I2C1 to I2C3") - 1,
             radio_usart: SERIAL_PORTS.iter().position(|port| port.instance == serial).expect("a serial port"),
-            motor_timers: motor_timers.collect(),
-            motor_ports: motor_ports.collect(),
             handlers: handlers(board.ready_vector(), serial),
             pads,
             connections,
             board,
         }
     }
-
-    /// Whether a register at this address may change what a motor pad carries: the timers, the ports, clocks and resets.
-    pub fn touches_pads(&self, address: u64) -> bool {
-        let within = |(from, bytes): &(u64, u64)| (*from..from + bytes).contains(&address);
-        self.is_motor_timer(address)
-            || self.motor_ports.iter().any(within)
-            || (0x4002_3800..0x4002_3c00).contains(&address)
-    }
-
-    /// Whether a register at this address is one of the motors' timers.
-    pub fn is_motor_timer(&self, address: u64) -> bool {
-        self.motor_timers.iter().any(|(from, bytes)| (*from..from + bytes).contains(&address))
-    }
-}
-
-/// Where a timer's registers begin (RM0090, table 1).
-fn address_of(timer: &str) -> Option<u64> {
-    Some(match timer {
-        "TIM1" => 0x4001_0000,
-        "TIM2" => 0x4000_0000,
-        "TIM3" => 0x4000_0400,
-        "TIM4" => 0x4000_0800,
-        "TIM8" => 0x4001_0400,
-        _ => return None,
-    })
 }
 
 /// A count of the chips on the boards: the ICM-42688-P at ±2,000 °/s and ±16 g (DS-000347, tables 1 and 2), rad/s and
@@ -265,6 +233,9 @@ pub struct Machine {
     stale: bool,
     now: VirtualNanos,
     pad_ports: Vec<usize>,
+    /// Registers by which the level of a motor pad may be changed: those of the timers, and the others.
+    motor_timers: Vec<Range<u64>>,
+    motor_others: Vec<Range<u64>>,
     lines: [Line; PADS],
     /// Changes at the pads since they were last taken: when (ns), pad, what.
     edges: Vec<(u64, usize, Line)>,
@@ -286,6 +257,10 @@ impl Machine {
             adc.set_reference(SUPPLY_MV);
             adc.set_backup_battery(SUPPLY_MV);
         }
+        let timers = wiring.board.timers.iter().map(|timer| timer.name.as_str());
+        let motor_timers = timers.map(|name| part.addresses(name)).collect();
+        let others = wiring.pads.iter().map(|pad| PORTS[pad.wire.port]).chain(["RCC"]);
+        let motor_others = others.map(|name| part.addresses(name)).collect();
         let pad_ports = wiring.pads.iter().map(|pad| part.port_slot(pad.wire.port)).collect();
         Ok(Self {
             part,
@@ -299,9 +274,21 @@ impl Machine {
             stale: false,
             now: VirtualNanos(0),
             pad_ports,
+            motor_timers,
+            motor_others,
             lines: [Line::Floating; PADS],
             edges: Vec::new(),
         })
+    }
+
+    /// Whether a register at this address is one of the motors' timers.
+    pub fn is_motor_timer(&self, address: u64) -> bool {
+        self.motor_timers.iter().any(|range| range.contains(&address))
+    }
+
+    /// Whether a register at this address may change what a motor pad carries: the timers, the ports, clocks and resets.
+    pub fn touches_pads(&self, address: u64) -> bool {
+        self.is_motor_timer(address) || self.motor_others.iter().any(|range| range.contains(&address))
     }
 
     /// The inertial sensor.

@@ -428,9 +428,9 @@ impl Driver<FlightBoard> for Pilot {
                 let at = access.address;
                 let resets = session.resets().len();
                 let machine = &mut session.board_mut().machine;
-                if self.wiring.touches_pads(at) {
+                if machine.touches_pads(at) {
                     machine.follow_pads(access.virtual_time);
-                    if access.kind == AccessKind::Write && self.wiring.is_motor_timer(at) {
+                    if access.kind == AccessKind::Write && machine.is_motor_timer(at) {
                         self.timing.motor_access(access.virtual_time.0, access.instruction_count);
                     }
                 }

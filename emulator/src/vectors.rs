@@ -24,46 +24,39 @@ enum Source {
 }
 
 impl Source {
-    /// First address and length of the registers by which it is served.
-    fn registers(&self) -> (u64, u64) {
-        let from = match self {
-            Self::Line(_) => 0x4001_3c00,
-            Self::Serial(name) => match name.as_str() {
-                "USART1" => 0x4001_1000,
-                "USART6" => 0x4001_1400,
-                "USART2" => 0x4000_4400,
-                "USART3" => 0x4000_4800,
-                "UART4" => 0x4000_4c00,
-                _ => 0x4000_5000,
-            },
-            Self::Deadline => 0x4000_0c00,
-            Self::Burst => 0x4002_6400,
-        };
-        (from, 0x400)
+    /// The instance by whose registers it is served.
+    fn instance(&self) -> &str {
+        match self {
+            Self::Line(_) => "EXTI",
+            Self::Serial(name) => name,
+            Self::Deadline => "TIM5",
+            Self::Burst => "DMA2",
+        }
     }
 
     /// Whether its line is up (RM0090: the interrupt enables and flags of each).
     fn asserted(&self, machine: &Machine) -> bool {
-        let registers = |name: &str| machine.bus().registers(name);
+        let Some(registers) = machine.bus().registers(self.instance()) else { return false };
         match self {
-            Self::Line(line) => registers("EXTI").is_some_and(|exti| {
-                exti.get(exti::Register::Pr) & exti.get(exti::Register::Imr) & 1 << line != 0
-            }),
-            Self::Serial(name) => registers(name).is_some_and(|usart| {
+            Self::Line(line) => {
+                registers.get(exti::Register::Pr) & registers.get(exti::Register::Imr) & 1 << line != 0
+            }
+            Self::Serial(_) => {
                 let received = usart6::sr::RXNE.mask() | usart6::sr::ORE.mask();
-                usart6::cr1::RXNEIE.is_set(usart.get(usart6::Register::Cr1))
-                    && usart.get(usart6::Register::Sr) & received != 0
-            }),
-            Self::Deadline => registers("TIM5").is_some_and(|tim5| {
-                tim5.get(tim2::Register::Sr) & tim5.get(tim2::Register::Dier) & 0x5f != 0
-            }),
-            Self::Burst => registers("DMA2").is_some_and(|dma| {
-                let (status, control) = (dma.get(dma2::Register::Lisr), dma.get(dma2::Register::S0cr));
+                usart6::cr1::RXNEIE.is_set(registers.get(usart6::Register::Cr1))
+                    && registers.get(usart6::Register::Sr) & received != 0
+            }
+            Self::Deadline => {
+                registers.get(tim2::Register::Sr) & registers.get(tim2::Register::Dier) & 0x5f != 0
+            }
+            Self::Burst => {
+                let (status, control) =
+                    (registers.get(dma2::Register::Lisr), registers.get(dma2::Register::S0cr));
                 (dma2::lisr::TCIF0.is_set(status) && dma2::s0cr::TCIE.is_set(control))
                     || (dma2::lisr::HTIF0.is_set(status) && dma2::s0cr::HTIE.is_set(control))
                     || (dma2::lisr::TEIF0.is_set(status) && dma2::s0cr::TEIE.is_set(control))
                     || (dma2::lisr::DMEIF0.is_set(status) && dma2::s0cr::DMEIE.is_set(control))
-            }),
+            }
         }
     }
 }
@@ -116,8 +109,9 @@ impl Vectors {
     /// The firmware has accessed a register.
     pub fn accessed(&mut self, machine: &Machine, address: u64) {
         for vector in &mut self.0 {
-            let (from, bytes) = vector.source.registers();
-            if vector.unserved && (from..from + bytes).contains(&address) && !vector.source.asserted(machine)
+            if vector.unserved
+                && machine.part.addresses(vector.source.instance()).contains(&address)
+                && !vector.source.asserted(machine)
             {
                 vector.unserved = false;
             }

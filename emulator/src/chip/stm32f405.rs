@@ -15,6 +15,7 @@
 //! An access to anything else is a bus fault.
 
 use std::num::{NonZeroU32, NonZeroU64};
+use std::ops::Range;
 use std::sync::LazyLock;
 
 use rigless::chip::Timeline;
@@ -472,6 +473,12 @@ impl Stm32f405 {
                 peer.restarted(&mut Timeline::new(&mut context));
             }
         }
+    }
+
+    /// Where an instance's registers are; nowhere, if there is no such instance.
+    pub fn addresses(&self, instance: &str) -> Range<u64> {
+        let slot = self.bus.slot_of(instance).map(|slot| self.bus.slots()[slot].peripheral());
+        slot.map_or(0..0, |peripheral| peripheral.base..peripheral.base + peripheral.size)
     }
 
     /// The bus's slot of port `n`.

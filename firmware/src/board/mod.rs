@@ -84,3 +84,11 @@ pub struct Board {
     /// It was the watchdog.
     pub watchdog_reset: bool,
 }
+
+/// Stops the motors, and nothing else happens until the watchdog resets the board.
+pub fn stop() -> ! {
+    // An unexpected interrupt comes at its own priority, and the flight task must not run again.
+    cortex_m::interrupt::disable();
+    stop_after_fault();
+    halt()
+}

@@ -26,7 +26,7 @@ use tasks::sampling::{self, Next};
 use tasks::tally::TALLY;
 use tasks::{OVERDUE_US, PERIOD_US};
 
-use super::Board;
+use super::{Board, stop};
 use crate::interrupts::{SENSE_PRIORITY, WAKE_FLIGHT, listen};
 use crate::light::Light;
 use crate::stm32f405::burst::{self, ImuBus, ImuSpi};
@@ -366,14 +366,6 @@ pub fn stop_after_fault() {
         // pads are low.
         LINES.pull_pads_down();
     }
-}
-
-/// Stops the motors, and nothing else happens until the watchdog resets the board.
-pub fn stop() -> ! {
-    // An unexpected interrupt comes at its own priority, and the flight task must not run again.
-    cortex_m::interrupt::disable();
-    stop_after_fault();
-    halt()
 }
 
 /// [`stop`], for a reason that the next start tells.

@@ -35,7 +35,7 @@ use stm32f4xx_hal::pac::{self, TIM3, TIM4, TIM5};
 use stm32f4xx_hal::rcc::{Enable, Reset};
 use tasks::sampling::{self, BurstBus, FrameBuffer, Next, Signal};
 
-use super::Board;
+use super::{Board, stop};
 use crate::interrupts::WAKE_FLIGHT;
 use crate::stm32f405::dma::Stream;
 use crate::stm32f405::esc::{self, Lines, Pad, Timer};
@@ -245,13 +245,6 @@ impl Outputs {
     pub fn stop(&mut self) {
         send(false, [STOP_US; 4]);
     }
-}
-
-/// Stops the motors, and ends.
-pub fn stop() -> ! {
-    cortex_m::interrupt::disable();
-    stop_after_fault();
-    halt()
 }
 
 /// [`Outputs::stop`], from a fault.
