@@ -27,9 +27,10 @@ use fixed_input::{FLIGHT, PERIOD_US};
 use flight_core::ConfigError;
 use flight_core::arithmetic;
 use flight_core::calibration::{SensorCalibration, SensorFields, SensorModel};
-use flight_core::estimator::{Estimator, EstimatorParams, Kinematics, Weight};
+use flight_core::estimator::{Estimator, EstimatorParams, Filter, Kinematics, Weight};
 use flight_core::geometry::{Quaternion, Vec3, vec3};
 use flight_core::prefilter::{Biquad, Prefilter};
+use flight_core::with_filter;
 use gauge::Gauge;
 use micromath::F32Ext;
 use nalgebra::Vector3;
@@ -265,27 +266,22 @@ fn estimators<I: Iterator<Item = Reading>>(
         estimator.update(r.gyro, r.accel, None, DT_S);
     }
     /// The same for one kind of filter only: the code that it takes. It is not run.
-    macro_rules! only {
-        ($kind:ident, $mag:expr) => {{
-            #[inline(never)]
-            fn only(estimator: &mut Estimator, r: &Reading) {
-                let mag: fn(&Reading) -> Option<Vec3<f32>> = $mag;
-                if let Estimator::$kind(_) = estimator {
-                    estimator.update(r.gyro, r.accel, mag(r), DT_S);
-                }
-            }
-            only as *const ()
-        }};
+    #[inline(never)]
+    fn nine_only<F: Filter>(filter: &mut F, r: &Reading) {
+        filter.update(r.gyro, r.accel, Some(r.mag), DT_S);
+    }
+    #[inline(never)]
+    fn six_only<F: Filter>(filter: &mut F, r: &Reading) {
+        filter.update(r.gyro, r.accel, None, DT_S);
+    }
+    fn code<F: Filter>(_: &F) -> [*const (); 2] {
+        [nine_only::<F> as *const (), six_only::<F> as *const ()]
     }
     let quaternion = EstimatorParams::complementary(Kinematics::Quaternion, Weight::PAPER);
     for (name, params) in EstimatorParams::PRESETS.into_iter().chain([("paper on a quaternion", quaternion)])
     {
-        let (code_nine, code_six) = match Estimator::new(&params)? {
-            Estimator::Euler(_) => (only!(Euler, |r| Some(r.mag)), only!(Euler, |_| None)),
-            Estimator::Quaternion(_) => (only!(Quaternion, |r| Some(r.mag)), only!(Quaternion, |_| None)),
-            Estimator::Robust(_) => (only!(Robust, |r| Some(r.mag)), only!(Robust, |_| None)),
-        };
         let mut estimator = Estimator::new(&params)?;
+        let [code_nine, code_six] = with_filter!(estimator.filter(), filter => code(filter));
         let nine_axis = format_args!("estimator {name} 9-axis");
         row(gauge, nine_axis, code_nine, readings(), |r| nine(&mut estimator, r));
         let mut estimator = Estimator::new(&params)?;

@@ -1,6 +1,6 @@
 //! Eq 18 on roll, pitch and yaw, each by itself, as the paper has it.
 
-use super::{MIN_HORIZONTAL_FIELD_SQUARED, MIN_SPECIFIC_FORCE_SQUARED, Weight};
+use super::{Filter, MIN_HORIZONTAL_FIELD_SQUARED, MIN_SPECIFIC_FORCE_SQUARED, Weight};
 use crate::arithmetic::{atan2, direction, elevation, sin_cos, sqrt, wrap_pi};
 use crate::geometry::{Quaternion, Vec3, vec3};
 
@@ -42,22 +42,6 @@ impl EulerFilter {
             tilt_started: false,
             heading_started: false,
         }
-    }
-
-    #[inline]
-    pub(super) fn update(&mut self, gyro: Vec3<f32>, accel: Vec3<f32>, mag: Option<Vec3<f32>>, dt_s: f32) {
-        self.predict(gyro, dt_s);
-        self.correct_tilt(accel, dt_s);
-        // The differences are taken the short way round wherever the prediction stands: once around is enough.
-        self.roll = wrap_pi(self.roll);
-        self.pitch = wrap_pi(self.pitch);
-        self.roll_sc = sin_cos(self.roll);
-        self.pitch_sc = sin_cos(self.pitch);
-        self.mag_dt_s += dt_s;
-        if let Some(field) = mag {
-            self.correct_heading(field);
-        }
-        self.yaw = wrap_pi(self.yaw);
     }
 
     /// a\[k\] = o\[k−1\] + Δt · (φ̇, θ̇, ψ̇), with the Euler rates of the body rates at the last attitude.
@@ -105,33 +89,51 @@ impl EulerFilter {
         self.yaw += share * wrap_pi(yaw - self.yaw);
     }
 
-    pub(super) fn restart(&mut self) {
+    #[cfg(test)]
+    pub(super) fn angles(&self) -> [f32; 3] {
+        [self.roll, self.pitch, self.yaw]
+    }
+}
+
+impl Filter for EulerFilter {
+    #[inline]
+    fn update(&mut self, gyro: Vec3<f32>, accel: Vec3<f32>, mag: Option<Vec3<f32>>, dt_s: f32) {
+        self.predict(gyro, dt_s);
+        self.correct_tilt(accel, dt_s);
+        // The differences are taken the short way round wherever the prediction stands: once around is enough.
+        self.roll = wrap_pi(self.roll);
+        self.pitch = wrap_pi(self.pitch);
+        self.roll_sc = sin_cos(self.roll);
+        self.pitch_sc = sin_cos(self.pitch);
+        self.mag_dt_s += dt_s;
+        if let Some(field) = mag {
+            self.correct_heading(field);
+        }
+        self.yaw = wrap_pi(self.yaw);
+    }
+
+    fn restart(&mut self) {
         *self = Self::new(self.weight, self.declination_rad);
     }
 
-    pub(super) fn started(&self) -> bool {
+    fn started(&self) -> bool {
         self.tilt_started
     }
 
     /// (−sin θ, sin φ cos θ, cos φ cos θ): the last row of the rotation matrix.
     #[inline(always)]
-    pub(super) fn down(&self) -> Vec3<f32> {
+    fn down(&self) -> Vec3<f32> {
         let (sin_roll, cos_roll) = self.roll_sc;
         let (sin_pitch, cos_pitch) = self.pitch_sc;
         vec3(-sin_pitch, sin_roll * cos_pitch, cos_roll * cos_pitch)
     }
 
     #[inline(always)]
-    pub(super) fn heading(&self) -> f32 {
+    fn heading(&self) -> f32 {
         self.yaw
     }
 
-    #[cfg(test)]
-    pub(super) fn angles(&self) -> [f32; 3] {
-        [self.roll, self.pitch, self.yaw]
-    }
-
-    pub(super) fn attitude(&self) -> Quaternion<f32> {
+    fn attitude(&self) -> Quaternion<f32> {
         Quaternion::from_half_angles(
             sin_cos(0.5 * self.roll),
             sin_cos(0.5 * self.pitch),

@@ -23,7 +23,7 @@ mod robust;
 pub use at_rest::GyroZero;
 pub use euler::EulerFilter;
 pub use quaternion::QuaternionFilter;
-pub use robust::RobustFilter;
+pub use robust::{RobustFilter, RobustParams};
 
 use crate::arithmetic::atan2;
 use crate::geometry::{Quaternion, Vec3};
@@ -57,6 +57,13 @@ impl Weight {
     /// The paper's 0.97, taken at 100 Hz: τ = 0.97 · 0.01 s / 0.03 = 0.3233 s.
     pub const PAPER: Self = Self::TimeConstant { tau_s: 0.97 * 0.01 / 0.03 };
 
+    fn setting(&mut self) -> Setting<'_> {
+        match self {
+            Weight::TimeConstant { tau_s } => Setting::new("estimator.tau_s", tau_s, 1.0e-3, 1.0e4),
+            Weight::Fixed { alpha } => Setting::new("estimator.alpha", alpha, 0.0, 1.0),
+        }
+    }
+
     /// 1 − α for a step of `dt_s`.
     #[inline(always)]
     fn of_measurement(self, dt_s: f32) -> f32 {
@@ -75,17 +82,6 @@ pub enum Kinematics {
     Euler,
     /// A quaternion, blended along the shortest rotation. No singularity.
     Quaternion,
-}
-
-/// The time constants of [`RobustFilter`]. What else it holds are figures of sensors and of the Earth's field.
-#[derive(Clone, Copy, Debug, PartialEq)]
-#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
-pub struct RobustParams {
-    /// τ of the tilt, s: the gyroscope above 1/(√2 π τ) Hz, the accelerometer below. In steps longer than τ more is
-    /// turned back than there is to turn.
-    pub tilt_tau_s: f32,
-    /// τ of the heading, s.
-    pub heading_tau_s: f32,
 }
 
 /// A kind of filter.
@@ -140,39 +136,105 @@ impl EstimatorParams {
         Self { method: Method::Complementary { kinematics, weight }, declination_rad: 0.0 }
     }
 
-    fn validate(&self) -> Result<(), ConfigError> {
-        match self.method {
-            Method::Complementary { weight: Weight::TimeConstant { tau_s }, .. } => {
-                check("estimator.tau_s", tau_s, 1.0e-3, 1.0e4)?;
-            }
-            Method::Complementary { weight: Weight::Fixed { alpha }, .. } => {
-                check("estimator.alpha", alpha, 0.0, 1.0)?;
-            }
-            Method::Robust(RobustParams { tilt_tau_s, heading_tau_s }) => {
-                check("estimator.tilt_tau_s", tilt_tau_s, 0.1, 100.0)?;
-                check("estimator.heading_tau_s", heading_tau_s, 0.1, 1.0e3)?;
-            }
-        }
-        check(
-            "estimator.declination_rad",
-            self.declination_rad,
-            -core::f32::consts::PI,
-            core::f32::consts::PI,
-        )
+    /// The numbers that the filter is set by, each with its range: those of its kind, and the declination.
+    pub fn settings(&mut self) -> impl Iterator<Item = Setting<'_>> {
+        const PI: f32 = core::f32::consts::PI;
+        let [first, second] = match &mut self.method {
+            Method::Complementary { weight, .. } => [Some(weight.setting()), None],
+            Method::Robust(params) => params.settings().map(Some),
+        };
+        let declination = Setting::new("estimator.declination_rad", &mut self.declination_rad, -PI, PI);
+        first.into_iter().chain(second).chain([declination])
     }
 }
 
-/// A running filter.
+/// A number that a filter is set by.
+#[derive(Debug, PartialEq)]
+pub struct Setting<'a> {
+    /// Its name, as errors have it, with its unit.
+    pub name: &'static str,
+    /// The number.
+    pub value: &'a mut f32,
+    /// Smallest and largest that it may be.
+    pub range: [f32; 2],
+}
+
+impl<'a> Setting<'a> {
+    fn new(name: &'static str, value: &'a mut f32, minimum: f32, maximum: f32) -> Self {
+        Self { name, value, range: [minimum, maximum] }
+    }
+}
+
+/// What every filter takes and gives. A new one is a file with a struct that does this, and its line in this file's
+/// [`Method`], [`Filters`], [`with_filter!`](crate::with_filter) and [`Estimator::new`].
+pub trait Filter {
+    /// Whether it averages over seconds whatever is not turned by the gyroscope, and so needs no prefilter.
+    const IS_A_LOW_PASS: bool = false;
+
+    /// See [`Estimator::update`].
+    fn update(&mut self, gyro: Vec3<f32>, accel: Vec3<f32>, mag: Option<Vec3<f32>>, dt_s: f32);
+
+    /// Begins again, as new.
+    fn restart(&mut self);
+
+    /// Whether a first sample has set the attitude.
+    fn started(&self) -> bool;
+
+    /// Down in body axes.
+    fn down(&self) -> Vec3<f32>;
+
+    /// The attitude, body to world.
+    fn attitude(&self) -> Quaternion<f32>;
+
+    /// Heading of the body's x axis, rad, clockwise from true north, in [−π, π].
+    #[inline(always)]
+    fn heading(&self) -> f32 {
+        let [w, x, y, z] = self.attitude().to_array();
+        atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+    }
+
+    /// See [`Estimator::gyro_zeroed`]: nothing, for a filter that learns no bias.
+    #[inline(always)]
+    fn gyro_zeroed(&mut self) {}
+
+    /// The gyroscope's bias as it was learnt, rad/s, body axes.
+    #[inline(always)]
+    fn gyro_bias(&self) -> Vec3<f32> {
+        Vec3::ZERO
+    }
+}
+
+/// A filter of any kind.
 // With a number of its own for the kind: hidden in a field of one of them it takes four instructions to read, each time.
 #[derive(Clone, Copy, Debug)]
 #[repr(u32)]
-pub enum Estimator {
+pub enum Filters {
+    /// On a quaternion. First, because it is what mostly flies: a comparison with 0 takes no second instruction.
+    Quaternion(QuaternionFilter),
     /// In Euler angles.
     Euler(EulerFilter),
-    /// On a quaternion.
-    Quaternion(QuaternionFilter),
     /// On a quaternion, with estimates of bias and disturbances.
     Robust(RobustFilter),
+}
+
+/// `with_filter!(filters, filter => expression)`: the expression with the [`Filter`] of whichever kind it is.
+#[macro_export]
+macro_rules! with_filter {
+    ($filters:expr, $filter:ident => $what:expr) => {
+        match $filters {
+            $crate::estimator::Filters::Euler($filter) => $what,
+            $crate::estimator::Filters::Quaternion($filter) => $what,
+            $crate::estimator::Filters::Robust($filter) => $what,
+        }
+    };
+}
+
+/// A running filter.
+#[derive(Clone, Copy, Debug)]
+pub struct Estimator {
+    filter: Filters,
+    /// Down in body axes, kept from the last update: the controller asks for it each time.
+    down: Vec3<f32>,
 }
 
 impl Estimator {
@@ -182,17 +244,20 @@ impl Estimator {
     /// τ outside 1 ms to 10⁴ s, α outside 0 to 1, a time constant of [`RobustParams`] outside 0.1 to
     /// 100 s (tilt) or 1,000 s (heading), a declination outside ±π.
     pub fn new(params: &EstimatorParams) -> Result<Self, ConfigError> {
-        params.validate()?;
+        for Setting { name, value, range: [minimum, maximum] } in { *params }.settings() {
+            check(name, *value, minimum, maximum)?;
+        }
         let declination_rad = params.declination_rad;
-        Ok(match params.method {
+        let filter = match params.method {
             Method::Complementary { kinematics: Kinematics::Euler, weight } => {
-                Self::Euler(EulerFilter::new(weight, declination_rad))
+                Filters::Euler(EulerFilter::new(weight, declination_rad))
             }
             Method::Complementary { kinematics: Kinematics::Quaternion, weight } => {
-                Self::Quaternion(QuaternionFilter::new(weight, declination_rad))
+                Filters::Quaternion(QuaternionFilter::new(weight, declination_rad))
             }
-            Method::Robust(params) => Self::Robust(RobustFilter::new(params, declination_rad)),
-        })
+            Method::Robust(params) => Filters::Robust(RobustFilter::new(params, declination_rad)),
+        };
+        Ok(Self { filter, down: Vec3::Z })
     }
 
     /// Takes one sample: angular rate (rad/s), specific force (m/s²), and field (µT) if there is a new one,
@@ -204,20 +269,16 @@ impl Estimator {
     /// become.
     #[inline]
     pub fn update(&mut self, gyro: Vec3<f32>, accel: Vec3<f32>, mag: Option<Vec3<f32>>, dt_s: f32) {
-        match self {
-            Self::Euler(f) => f.update(gyro, accel, mag, dt_s),
-            Self::Quaternion(f) => f.update(gyro, accel, mag, dt_s),
-            Self::Robust(f) => f.update(gyro, accel, mag, dt_s),
-        }
+        self.down = with_filter!(&mut self.filter, filter => {
+            filter.update(gyro, accel, mag, dt_s);
+            filter.down()
+        });
     }
 
     /// Begins again, as new: from the next sample.
     pub fn restart(&mut self) {
-        match self {
-            Self::Euler(f) => f.restart(),
-            Self::Quaternion(f) => f.restart(),
-            Self::Robust(f) => f.restart(),
-        }
+        with_filter!(&mut self.filter, filter => filter.restart());
+        self.down = Vec3::Z;
     }
 
     /// The rates that go in were zeroed at rest just now ([`GyroZero`]): they have no bias left. A filter that
@@ -225,18 +286,13 @@ impl Estimator {
     /// as a bench, and a slow steady turn reads like a bias.
     #[inline]
     pub fn gyro_zeroed(&mut self) {
-        if let Self::Robust(f) = self {
-            f.gyro_zeroed();
-        }
+        with_filter!(&mut self.filter, filter => filter.gyro_zeroed());
     }
 
     /// The gyroscope's bias as this filter has learnt it, rad/s, body axes: to be subtracted from what went in.
     #[inline(always)]
     pub fn gyro_bias(&self) -> Vec3<f32> {
-        match self {
-            Self::Robust(f) => f.gyro_bias(),
-            _ => Vec3::ZERO,
-        }
+        with_filter!(&self.filter, filter => filter.gyro_bias())
     }
 
     /// Whether what goes in needs no prefilter, because the filter averages over seconds whatever is not turned
@@ -244,48 +300,38 @@ impl Estimator {
     /// at 200 °/s is 1.5°.
     #[inline(always)]
     pub fn is_a_low_pass(&self) -> bool {
-        matches!(self, Self::Robust(_))
+        fn of<F: Filter>(_: &F) -> bool {
+            F::IS_A_LOW_PASS
+        }
+        with_filter!(&self.filter, filter => of(filter))
     }
 
     /// Whether a first sample has set the attitude.
     pub fn started(&self) -> bool {
-        match self {
-            Self::Euler(f) => f.started(),
-            Self::Quaternion(f) => f.started(),
-            Self::Robust(f) => f.started(),
-        }
+        with_filter!(&self.filter, filter => filter.started())
     }
 
     /// The world's down direction in body axes: the tilt, without any heading.
-    #[inline]
+    #[inline(always)]
     pub fn down(&self) -> Vec3<f32> {
-        match self {
-            Self::Euler(f) => f.down(),
-            Self::Quaternion(f) => f.down(),
-            Self::Robust(f) => f.down(),
-        }
+        self.down
     }
 
     /// Heading of the body's x axis, rad, clockwise from true north, in [−π, π]. Of [`Kinematics::Euler`] it is the
     /// yaw, which does not turn round where the pitch goes over the vertical.
     #[inline]
     pub fn heading(&self) -> f32 {
-        let q = match self {
-            Self::Euler(f) => return f.heading(),
-            Self::Quaternion(f) => f.attitude(),
-            Self::Robust(f) => f.attitude(),
-        };
-        let [w, x, y, z] = q.to_array();
-        atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+        with_filter!(&self.filter, filter => filter.heading())
     }
 
     /// The attitude, body to world.
     pub fn attitude(&self) -> Quaternion<f32> {
-        match self {
-            Self::Euler(f) => f.attitude(),
-            Self::Quaternion(f) => f.attitude(),
-            Self::Robust(f) => f.attitude(),
-        }
+        with_filter!(&self.filter, filter => filter.attitude())
+    }
+
+    /// The filter that runs.
+    pub fn filter(&self) -> &Filters {
+        &self.filter
     }
 }
 

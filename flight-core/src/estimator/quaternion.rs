@@ -1,7 +1,7 @@
 //! Eq 18 on a quaternion: predict by the gyroscope, then go the share 1 − α of the shortest rotation from
 //! the prediction to the measurement, first in tilt, then in heading.
 
-use super::{MIN_HORIZONTAL_FIELD_SQUARED, MIN_SPECIFIC_FORCE_SQUARED, Weight};
+use super::{Filter, MIN_HORIZONTAL_FIELD_SQUARED, MIN_SPECIFIC_FORCE_SQUARED, Weight};
 use crate::arithmetic::{direction, wrap_pi};
 use crate::geometry::{Quaternion, Vec3, vec3};
 
@@ -9,14 +9,9 @@ use crate::geometry::{Quaternion, Vec3, vec3};
 ///
 /// While the filter is younger than τ its age takes the place of τ, which makes the start the plain mean of
 /// the first measurements instead of a τ-long decay of the first sample's noise.
-// As declared, so that attitude and down lie where they do in the robust filter, and who asks for them does not care
-// which of the two it is.
 #[derive(Clone, Copy, Debug)]
-#[repr(C)]
 pub struct QuaternionFilter {
     q: Quaternion<f32>,
-    /// Down in body axes, kept from the last update.
-    down: Vec3<f32>,
     weight: Weight,
     declination_rad: f32,
     /// Time since the first sample, s, counted up to τ.
@@ -35,26 +30,12 @@ impl QuaternionFilter {
             weight,
             declination_rad,
             q: Quaternion::IDENTITY,
-            down: Vec3::Z,
             tilt_age_s: 0.0,
             heading_age_s: 0.0,
             mag_dt_s: 0.0,
             tilt_started: false,
             heading_started: false,
         }
-    }
-
-    #[inline]
-    pub(super) fn update(&mut self, gyro: Vec3<f32>, accel: Vec3<f32>, mag: Option<Vec3<f32>>, dt_s: f32) {
-        self.q = self.q * Quaternion::from_rotation_vector(gyro * dt_s);
-        self.correct_tilt(accel, dt_s);
-        self.mag_dt_s += dt_s;
-        if let Some(field) = mag {
-            self.correct_heading(field);
-        }
-        // One Newton step for 1/√n at n = 1: a step's rounding leaves n within 1e-6 of 1, which it squares.
-        self.q = self.q.scaled(1.5 - 0.5 * self.q.norm_squared());
-        self.down = self.q.down();
     }
 
     /// Turns the predicted down direction towards the measured one, −f.
@@ -67,9 +48,9 @@ impl QuaternionFilter {
         let axis = predicted.cross(f); // −f × predicted, times |f|: the axis that turns the body
         let sine = axis.norm();
         let angle = direction(sine, -f.dot(predicted));
-        let share = if self.tilt_started { self.share(self.tilt_age_s, dt_s) } else { 1.0 };
+        let share = Self::share(self.weight, &mut self.tilt_age_s, dt_s);
+        let share = if self.tilt_started { share } else { 1.0 };
         self.tilt_started = true;
-        self.tilt_age_s = self.aged(self.tilt_age_s, dt_s);
         let turn = if sine > 1.0e-6 {
             axis * (share * angle / sine)
         } else {
@@ -89,46 +70,55 @@ impl QuaternionFilter {
             return;
         }
         let excess = wrap_pi(direction(field.y, field.x) - self.declination_rad);
-        let share = if self.heading_started { self.share(self.heading_age_s, self.mag_dt_s) } else { 1.0 };
+        let share = Self::share(self.weight, &mut self.heading_age_s, self.mag_dt_s);
+        let share = if self.heading_started { share } else { 1.0 };
         self.heading_started = true;
-        self.heading_age_s = self.aged(self.heading_age_s, self.mag_dt_s);
         self.mag_dt_s = 0.0;
         self.q = Quaternion::from_rotation_vector(vec3(0.0, 0.0, -share * excess)) * self.q;
     }
 
-    /// 1 − α for a filter of this age.
+    /// 1 − α for a filter of this age, which it makes older by `dt_s`.
     #[inline(always)]
-    fn share(&self, age_s: f32, dt_s: f32) -> f32 {
-        match self.weight {
+    fn share(weight: Weight, age_s: &mut f32, dt_s: f32) -> f32 {
+        match weight {
             // A sample that covers no time weighs nothing, at no age either.
-            Weight::TimeConstant { tau_s } if age_s < tau_s && dt_s > 0.0 => dt_s / (age_s + dt_s),
+            Weight::TimeConstant { tau_s } if *age_s < tau_s && dt_s > 0.0 => {
+                *age_s += dt_s;
+                dt_s / *age_s
+            }
             weight => weight.of_measurement(dt_s),
         }
     }
+}
 
-    #[inline(always)]
-    fn aged(&self, age_s: f32, dt_s: f32) -> f32 {
-        match self.weight {
-            Weight::TimeConstant { tau_s } if age_s >= tau_s => age_s,
-            _ => age_s + dt_s,
+impl Filter for QuaternionFilter {
+    #[inline]
+    fn update(&mut self, gyro: Vec3<f32>, accel: Vec3<f32>, mag: Option<Vec3<f32>>, dt_s: f32) {
+        self.q = self.q * Quaternion::from_rotation_vector(gyro * dt_s);
+        self.correct_tilt(accel, dt_s);
+        self.mag_dt_s += dt_s;
+        if let Some(field) = mag {
+            self.correct_heading(field);
         }
+        // One Newton step for 1/√n at n = 1: a step's rounding leaves n within 1e-6 of 1, which it squares.
+        self.q = self.q.scaled(1.5 - 0.5 * self.q.norm_squared());
     }
 
-    pub(super) fn restart(&mut self) {
+    fn restart(&mut self) {
         *self = Self::new(self.weight, self.declination_rad);
     }
 
-    pub(super) fn started(&self) -> bool {
+    fn started(&self) -> bool {
         self.tilt_started
     }
 
     #[inline(always)]
-    pub(super) fn down(&self) -> Vec3<f32> {
-        self.down
+    fn down(&self) -> Vec3<f32> {
+        self.q.down()
     }
 
     #[inline(always)]
-    pub(super) fn attitude(&self) -> Quaternion<f32> {
+    fn attitude(&self) -> Quaternion<f32> {
         self.q
     }
 }

@@ -36,7 +36,7 @@
 //! in the world, and is learnt slowly while the sensor turns.
 
 use super::at_rest::MAX_BIAS;
-use super::{MIN_HORIZONTAL_FIELD_SQUARED, MIN_SPECIFIC_FORCE_SQUARED, RobustParams};
+use super::{Filter, MIN_HORIZONTAL_FIELD_SQUARED, MIN_SPECIFIC_FORCE_SQUARED, Setting};
 use crate::STANDARD_GRAVITY;
 use crate::arithmetic::{atan2, max, min, sin_cos, sqrt, wrap_pi};
 use crate::geometry::{Quaternion, Vec3, vec3};
@@ -97,14 +97,30 @@ const OFFSET_RATE: f32 = 0.4;
 /// Most that is learnt on an axis, µT, a fifth of the Earth's field. More is for a calibration.
 const MAX_OFFSET: f32 = 10.0;
 
+/// The time constants of [`RobustFilter`]. What else it holds are figures of sensors and of the Earth's field.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+pub struct RobustParams {
+    /// τ of the tilt, s: the gyroscope above 1/(√2 π τ) Hz, the accelerometer below. In steps longer than τ more is
+    /// turned back than there is to turn.
+    pub tilt_tau_s: f32,
+    /// τ of the heading, s.
+    pub heading_tau_s: f32,
+}
+
+impl RobustParams {
+    pub(super) fn settings(&mut self) -> [Setting<'_>; 2] {
+        [
+            Setting::new("estimator.tilt_tau_s", &mut self.tilt_tau_s, 0.1, 100.0),
+            Setting::new("estimator.heading_tau_s", &mut self.heading_tau_s, 0.1, 1.0e3),
+        ]
+    }
+}
+
 /// Quaternion, lean, bias and field; see the module.
-// As declared: see the quaternion filter.
 #[derive(Clone, Copy, Debug)]
-#[repr(C)]
 pub struct RobustFilter {
     q: Quaternion<f32>,
-    /// Down in body axes, kept from the last update.
-    down: Vec3<f32>,
     params: RobustParams,
     declination_rad: f32,
     /// Sine and cosine of the declination.
@@ -136,7 +152,6 @@ impl RobustFilter {
             declination_sc: sin_cos(declination_rad),
             looks_for_rest: true,
             q: Quaternion::IDENTITY,
-            down: Vec3::Z,
             tilt_started: false,
             tilt_age_s: 0.0,
             lean: [0.0; 2],
@@ -147,31 +162,6 @@ impl RobustFilter {
             rest: Rest::default(),
             north: North::default(),
         }
-    }
-
-    // A function of its own: inlined into the controller's step it would cost the other filters registers.
-    #[inline(never)]
-    pub(super) fn update(&mut self, gyro: Vec3<f32>, accel: Vec3<f32>, mag: Option<Vec3<f32>>, dt_s: f32) {
-        // A comparison with what is not a number is false.
-        let plausible = gyro.dot(gyro) < MAX_RATE * MAX_RATE
-            && accel.dot(accel) < MAX_SPECIFIC_FORCE * MAX_SPECIFIC_FORCE;
-        if !plausible {
-            return;
-        }
-        let dt_s = if dt_s > 0.0 { min(dt_s, MAX_DT_S) } else { 0.0 };
-        if !self.tilt_started {
-            self.start(gyro, accel);
-        } else if dt_s > 0.0 {
-            self.turn(gyro, accel, dt_s);
-        }
-        self.north.since_s = min(self.north.since_s + dt_s, MAX_DT_S);
-        match mag {
-            Some(field) if field.dot(field) < MAX_FIELD * MAX_FIELD => self.correct_heading(gyro, field),
-            _ => {}
-        }
-        // One Newton step for 1/√n at n = 1: a step's rounding leaves n within 1e-6 of 1, which it squares.
-        self.q = self.q.scaled(1.5 - 0.5 * self.q.norm_squared());
-        self.down = self.q.down();
     }
 
     /// The shortest rotation that brings −f to the vertical.
@@ -312,9 +302,36 @@ impl RobustFilter {
             self.north.learn_offset(self.q.conjugate().rotate(strange), dt_s);
         }
     }
+}
 
-    /// See [`super::Estimator::gyro_zeroed`].
-    pub(super) fn gyro_zeroed(&mut self) {
+impl Filter for RobustFilter {
+    const IS_A_LOW_PASS: bool = true;
+
+    // A function of its own: inlined into the controller's step it would cost the other filters registers.
+    #[inline(never)]
+    fn update(&mut self, gyro: Vec3<f32>, accel: Vec3<f32>, mag: Option<Vec3<f32>>, dt_s: f32) {
+        // A comparison with what is not a number is false.
+        let plausible = gyro.dot(gyro) < MAX_RATE * MAX_RATE
+            && accel.dot(accel) < MAX_SPECIFIC_FORCE * MAX_SPECIFIC_FORCE;
+        if !plausible {
+            return;
+        }
+        let dt_s = if dt_s > 0.0 { min(dt_s, MAX_DT_S) } else { 0.0 };
+        if !self.tilt_started {
+            self.start(gyro, accel);
+        } else if dt_s > 0.0 {
+            self.turn(gyro, accel, dt_s);
+        }
+        self.north.since_s = min(self.north.since_s + dt_s, MAX_DT_S);
+        match mag {
+            Some(field) if field.dot(field) < MAX_FIELD * MAX_FIELD => self.correct_heading(gyro, field),
+            _ => {}
+        }
+        // One Newton step for 1/√n at n = 1: a step's rounding leaves n within 1e-6 of 1, which it squares.
+        self.q = self.q.scaled(1.5 - 0.5 * self.q.norm_squared());
+    }
+
+    fn gyro_zeroed(&mut self) {
         const ZEROED: f32 = REST_NOISE * BIAS_WALK;
         self.bias = Vec3::ZERO;
         self.variance = vec3(ZEROED, ZEROED, ZEROED);
@@ -322,26 +339,26 @@ impl RobustFilter {
         self.rest.still_s = 0.0;
     }
 
-    pub(super) fn restart(&mut self) {
+    fn restart(&mut self) {
         *self = Self::new(self.params, self.declination_rad);
     }
 
-    pub(super) fn started(&self) -> bool {
+    fn started(&self) -> bool {
         self.tilt_started
     }
 
     #[inline(always)]
-    pub(super) fn down(&self) -> Vec3<f32> {
-        self.down
+    fn down(&self) -> Vec3<f32> {
+        self.q.down()
     }
 
     #[inline(always)]
-    pub(super) fn attitude(&self) -> Quaternion<f32> {
+    fn attitude(&self) -> Quaternion<f32> {
         self.q
     }
 
     #[inline(always)]
-    pub(super) fn gyro_bias(&self) -> Vec3<f32> {
+    fn gyro_bias(&self) -> Vec3<f32> {
         self.bias
     }
 }

@@ -266,7 +266,9 @@ fn paper_equals_a_filter_in_f64_over_random_motion() {
         }
         crossings += u32::from((twin.angles[0] - last_roll).abs() > 3.0);
         last_roll = twin.angles[0];
-        let Estimator::Euler(filter) = &e else { unreachable!("the paper's filter is in Euler angles") };
+        let Filters::Euler(filter) = e.filter() else {
+            unreachable!("the paper's filter is in Euler angles")
+        };
         for (ours, exact) in filter.angles().into_iter().zip(twin.angles) {
             let error = remainder(f64::from(ours) - exact).abs();
             worst = worst.max(error);

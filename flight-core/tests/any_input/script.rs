@@ -4,7 +4,7 @@
 //! not), and then goes through phases in which each input is what it should be, nothing, or anything.
 
 use flight_core::calibration::{Calibration, Sensitivity, SensorCalibration};
-use flight_core::estimator::{EstimatorParams, Kinematics, Method, Weight};
+use flight_core::estimator::{EstimatorParams, Kinematics, Weight};
 use flight_core::geometry::{Mat3, Vec3};
 use flight_core::rc::{ArmBy, CENTRE_TICKS, HIGH_TICKS, LOW_TICKS};
 use flight_core::sample::{Battery, BenchCommand, Health, ImuSample, Input, LinkStatus, MagSample, RcFrame};
@@ -105,12 +105,7 @@ pub fn numbers(config: &mut Config) -> Vec<&mut f32> {
         all.extend(matrix(mounting));
     }
     all.extend(&mut p.prefilter_cutoff_hz);
-    match &mut p.estimator.method {
-        Method::Complementary { weight: Weight::TimeConstant { tau_s }, .. } => all.push(tau_s),
-        Method::Complementary { weight: Weight::Fixed { alpha }, .. } => all.push(alpha),
-        Method::Robust(robust) => all.extend([&mut robust.tilt_tau_s, &mut robust.heading_tau_s]),
-    }
-    all.push(&mut p.estimator.declination_rad);
+    all.extend(p.estimator.settings().map(|setting| setting.value));
     let a = &mut p.airframe;
     all.extend([&mut a.thrust_coefficient, &mut a.torque_coefficient, &mut a.forward_m, &mut a.right_m]);
     all.extend(vector(&mut a.inertia_kg_m2));

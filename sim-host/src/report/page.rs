@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 
 use flight_core::ArmState;
-use flight_core::estimator::{EstimatorParams, Method, RobustParams, Weight};
+use flight_core::estimator::EstimatorParams;
 
 use super::figures;
 use super::recorder::Recorder;
@@ -165,22 +165,23 @@ fn estimator_text(scene: &Scene) -> String {
         EstimatorParams { declination_rad: params.estimator.declination_rad, ..*preset } == params.estimator
     };
     let name = EstimatorParams::PRESETS.iter().find(|preset| same(preset)).map_or("own", |(name, _)| *name);
-    let seconds = |tau_s: f32| number(f64::from(tau_s), 4, " s");
-    let weight = match params.estimator.method {
-        Method::Complementary { weight: Weight::TimeConstant { tau_s }, .. } => {
-            format!("τ = {}", seconds(tau_s))
-        }
-        Method::Complementary { weight: Weight::Fixed { alpha }, .. } => {
-            format!("α = {}", number(f64::from(alpha), 4, ""))
-        }
-        Method::Robust(RobustParams { tilt_tau_s, heading_tau_s }) => {
-            format!("τ = {} (tilt), {} (heading)", seconds(tilt_tau_s), seconds(heading_tau_s))
-        }
-    };
+    let settings: Vec<String> = { params.estimator }
+        .settings()
+        .filter(|setting| setting.name != "estimator.declination_rad")
+        .map(|setting| setting_text(setting.name.trim_start_matches("estimator."), *setting.value))
+        .collect();
+    let settings = settings.join(", ");
     let prefilter =
         params.prefilter_cutoff_hz.map_or("no prefilter".into(), |hz| format!("prefilter {hz} Hz"));
     let declination = f64::from(params.estimator.declination_rad).to_degrees();
-    format!("<code>{name}</code>{weight}; {prefilter}; declination {}", number(declination, 3, "°"))
+    format!("<code>{name}</code>{settings}; {prefilter}; declination {}", number(declination, 3, "°"))
+}
+
+/// `tilt_tau_s` as "tilt τ = 5 s", `alpha` as "α = 0.97".
+fn setting_text(name: &str, value: f32) -> String {
+    let (name, unit) = name.strip_suffix("_s").map_or((name, ""), |name| (name, " s"));
+    let symbols = name.replace("tau", "τ").replace("alpha", "α").replace('_', " ");
+    format!("{symbols} = {}", number(f64::from(value), 4, unit))
 }
 
 fn footer(html: &mut String, scene: &Scene, recorder: &Recorder) {

@@ -1,6 +1,6 @@
 //! A body that turns in f64, and what perfect sensors on it say.
 
-use flight_core::estimator::{Estimator, EstimatorParams, Method, Weight};
+use flight_core::estimator::{Estimator, EstimatorParams};
 use flight_core::geometry::{Quaternion, Vec3, vec3};
 use sim_host::attitude_error::AttitudeError;
 
@@ -82,11 +82,12 @@ pub fn is_accurate(name: &str) -> bool {
 
 /// Time constant of a preset's tilt at 1 kHz, s.
 pub fn tau_s(params: &EstimatorParams) -> f64 {
-    match params.method {
-        Method::Complementary { weight: Weight::TimeConstant { tau_s }, .. } => tau_s.into(),
-        Method::Complementary { weight: Weight::Fixed { alpha }, .. } => {
-            1e-3 * f64::from(alpha / (1.0 - alpha))
-        }
-        Method::Robust(params) => params.tilt_tau_s.into(),
+    let mut params = *params;
+    let of_tilt = params.settings().next().unwrap();
+    let value = f64::from(*of_tilt.value);
+    match of_tilt.name {
+        "estimator.alpha" => 1e-3 * value / (1.0 - value),
+        "estimator.tau_s" | "estimator.tilt_tau_s" => value,
+        other => panic!("{other} is no time constant"),
     }
 }
