@@ -1,6 +1,6 @@
-//! Line charts over time, as SVG.
+//! Line charts, as SVG.
 //!
-//! A chart is a column of panels that share one time axis:
+//! A chart is panels in rows. Over time they stand below each other and share one axis, and the moments that are marked:
 //!
 //! ```text
 //!  heading, note                     (a picture that stands alone)
@@ -12,17 +12,27 @@
 //!             5       10       15  time, s
 //! ```
 //!
+//! With a [`Scale::Logarithmic`], as for Allan deviations, spectra, and errors against costs, each has its own:
+//!
+//! ```text
+//!  gyro_x (°/s)               ─ overlapping  ░ 68 %
+//!  10⁻¹ ┤╲
+//!       │ ╲╲       N = 0.0323 °/s/√Hz                   a label at the place that it speaks of
+//!  10⁻² ┤   ╲●
+//!       └──┬────┬────┬── τ, s
+//! ```
+//!
 //! Written by hand and not by a plotting crate, because the page is to be small, equal to the byte for equal
 //! flights, and set in the reader's own fonts. Lines are thinned to what a screen can show; a peak of a
 //! single sample stays.
 
-pub mod log_log;
+mod panel;
 mod path;
 mod ticks;
 
 use std::fmt::Write as _;
 
-use path::Projection;
+use panel::Place;
 use ticks::{Ladder, Ticks};
 
 /// The Okabe-Ito colours, which stay apart in every common kind of colour blindness.
@@ -71,6 +81,27 @@ impl Stroke {
     }
 }
 
+/// How values become places along an axis.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Scale {
+    /// Equal differences are equally far apart.
+    #[default]
+    Linear,
+    /// Equal ratios are. A value that is not positive has no place.
+    Logarithmic,
+}
+
+impl Scale {
+    /// Where a value is along the axis: itself, or its decimal logarithm; NaN without a place.
+    fn of(self, value: f64) -> f64 {
+        match self {
+            Self::Linear => value,
+            Self::Logarithmic if value > 0.0 => libm::log10(value),
+            Self::Logarithmic => f64::NAN,
+        }
+    }
+}
+
 /// A line of a panel.
 #[derive(Clone, Debug)]
 pub struct Line {
@@ -78,8 +109,39 @@ pub struct Line {
     pub label: String,
     /// How it is drawn.
     pub stroke: Stroke,
-    /// Time, s, and value. A value that is not finite breaks the line.
+    /// Along and up. A value without a place breaks the line.
     pub points: Vec<(f64, f64)>,
+    /// Whether each point has a dot.
+    pub dots: bool,
+    /// Whether the axes are to show all of it; else it is cut off at them.
+    pub sets_axes: bool,
+}
+
+impl Line {
+    /// A line without dots that the axes show all of.
+    pub fn new(label: impl Into<String>, stroke: Stroke, points: Vec<(f64, f64)>) -> Self {
+        Self { label: label.into(), stroke, points, dots: false, sets_axes: true }
+    }
+}
+
+/// What lies between two curves, in the colour of a line.
+#[derive(Clone, Debug)]
+pub struct Band {
+    /// One of [`colour`].
+    pub colour: &'static str,
+    /// Along, lower, upper.
+    pub points: Vec<(f64, f64, f64)>,
+}
+
+/// A dot with a text.
+#[derive(Clone, Debug)]
+pub struct Label {
+    /// Along and up.
+    pub at: (f64, f64),
+    /// What it says.
+    pub text: String,
+    /// One of [`colour`].
+    pub colour: &'static str,
 }
 
 /// A second scale on the right for the same lines: `value = zero + per_unit · left`.
@@ -99,7 +161,7 @@ pub struct Panel {
     /// What is plotted.
     pub title: String,
     /// Unit of the values.
-    pub unit: &'static str,
+    pub unit: String,
     /// Height of the plot, px.
     pub height: f64,
     /// Values that the axis covers in any case.
@@ -108,14 +170,35 @@ pub struct Panel {
     pub least_span: f64,
     /// A second scale.
     pub right: Option<RightAxis>,
+    /// Bands, under everything.
+    pub bands: Vec<Band>,
     /// The lines, the first at the bottom.
     pub lines: Vec<Line>,
+    /// Dots with text, over everything.
+    pub labels: Vec<Label>,
+}
+
+impl Panel {
+    /// Lines, and nothing else.
+    pub fn new(title: impl Into<String>, unit: impl Into<String>, height: f64, lines: Vec<Line>) -> Self {
+        Self {
+            title: title.into(),
+            unit: unit.into(),
+            height,
+            covers: Vec::new(),
+            least_span: 0.0,
+            right: None,
+            bands: Vec::new(),
+            lines,
+            labels: Vec::new(),
+        }
+    }
 }
 
 /// A moment, drawn through all panels.
 #[derive(Clone, Debug)]
 pub struct Mark {
-    /// Time, s.
+    /// Where on the axis of all panels: time, s.
     pub time_s: f64,
     /// What happened.
     pub label: String,
@@ -123,27 +206,70 @@ pub struct Mark {
     pub colour: &'static str,
 }
 
-/// Panels over one time axis.
+/// Panels in rows.
 #[derive(Clone, Debug)]
 pub struct Chart {
     /// Width, px.
     pub width: f64,
+    /// Of both axes.
+    pub scale: Scale,
+    /// Panels in a row.
+    pub columns: usize,
     /// Title and note of a picture that stands alone.
     pub heading: Option<(String, String)>,
     /// What is to be seen, for those who do not see it.
     pub description: String,
-    /// First and last time, s, or whatever `x_title` says.
-    pub time_s: (f64, f64),
+    /// First and last value of the one axis of all panels, below the last; without it each has its own.
+    pub along: Option<(f64, f64)>,
     /// Name and unit of the axis along the bottom.
     pub x_title: &'static str,
-    /// From top to bottom.
+    /// From left to right, then down.
     pub panels: Vec<Panel>,
     /// Moments.
     pub marks: Vec<Mark>,
 }
 
-/// What the axis along the bottom is, as a rule.
-pub const TIME: &str = "time, s";
+impl Chart {
+    /// Panels below each other over one time, s.
+    pub fn over_time(
+        width: f64,
+        description: impl Into<String>,
+        time_s: (f64, f64),
+        panels: Vec<Panel>,
+    ) -> Self {
+        Self {
+            width,
+            scale: Scale::Linear,
+            columns: 1,
+            heading: None,
+            description: description.into(),
+            along: Some(time_s),
+            x_title: "time, s",
+            panels,
+            marks: Vec::new(),
+        }
+    }
+
+    /// Panels with two logarithmic axes each.
+    pub fn logarithmic(
+        width: f64,
+        description: impl Into<String>,
+        x_title: &'static str,
+        panels: Vec<Panel>,
+    ) -> Self {
+        Self {
+            width,
+            scale: Scale::Logarithmic,
+            columns: 1,
+            heading: None,
+            description: description.into(),
+            along: None,
+            x_title,
+            panels,
+            marks: Vec::new(),
+        }
+    }
+}
 
 const LEFT: f64 = 52.0;
 const RIGHT: f64 = 14.0;
@@ -152,8 +278,8 @@ const HEADING_HEIGHT: f64 = 50.0;
 const MARK_ROW: f64 = 16.0;
 const TITLE_ROW: f64 = 26.0;
 const BELOW_PANEL: f64 = 4.0;
-const TIME_AXIS: f64 = 38.0;
-/// Smallest distance between the labels of an axis, px: up and down, and along the time axis.
+const X_AXIS: f64 = 38.0;
+/// Smallest distance between the labels of an axis, px: up and down, and along.
 const TICK_DISTANCE_Y: f64 = 19.0;
 const TICK_DISTANCE_X: f64 = 56.0;
 /// What has gone as far as this, as before a crash for numbers that are not finite, does not set the axis.
@@ -181,8 +307,13 @@ impl Chart {
         if self.panels.iter().any(|panel| panel.right.is_some()) { RIGHT_WITH_AXIS } else { RIGHT }
     }
 
+    /// From the left edge of a panel to that of the next, px.
+    fn across(&self) -> f64 {
+        self.width / self.columns.max(1) as f64
+    }
+
     fn plot_width(&self) -> f64 {
-        self.width - LEFT - self.right()
+        self.across() - LEFT - self.right()
     }
 
     /// Height of the rows of the marks' labels, between the first panel's title and its plot.
@@ -196,10 +327,20 @@ impl Chart {
         if self.heading.is_some() { HEADING_HEIGHT } else { 0.0 }
     }
 
+    /// Below a row of panels: the axis, if each has its own.
+    fn below(&self) -> f64 {
+        if self.along.is_some() { BELOW_PANEL } else { X_AXIS }
+    }
+
+    fn rows(&self) -> std::slice::Chunks<'_, Panel> {
+        self.panels.chunks(self.columns.max(1))
+    }
+
     /// Height of the whole chart, px.
     pub fn height(&self) -> f64 {
-        let panels = self.panels.iter().map(|panel| TITLE_ROW + panel.height + BELOW_PANEL);
-        self.first_top() + self.marks_height() + panels.sum::<f64>() + TIME_AXIS
+        let rows = self.rows().map(|row| TITLE_ROW + tallest(row) + self.below());
+        let last = if self.along.is_some() { X_AXIS } else { 0.0 };
+        self.first_top() + self.marks_height() + rows.sum::<f64>() + last
     }
 
     fn draw(&self, attributes: &str, first: &str) -> String {
@@ -214,143 +355,80 @@ impl Chart {
             text(&mut svg, &format!("class=\"h\" x=\"{x}\" y=\"26\""), title);
             text(&mut svg, &format!("class=\"n\" x=\"{x}\" y=\"44\""), note);
         }
-        let time_ticks = self.time_ticks();
         let mut top = self.first_top();
         let mut bottom = top;
-        for (n, panel) in self.panels.iter().enumerate() {
-            self.draw_titles(&mut svg, panel, top + TITLE_ROW - 9.0);
-            top += TITLE_ROW;
-            if n == 0 {
-                top += self.marks_height();
-                self.draw_mark_labels(&mut svg, top);
+        for (n, row) in self.rows().enumerate() {
+            let marks = if n == 0 { self.marks_height() } else { 0.0 };
+            for (column, panel) in row.iter().enumerate() {
+                let place = Place {
+                    left: column as f64 * self.across() + LEFT,
+                    top: top + TITLE_ROW + marks,
+                    width: self.plot_width(),
+                    height: panel.height,
+                };
+                let titles = top + TITLE_ROW - 9.0;
+                panel.draw_titles(&mut svg, &place, titles, column as f64 * self.across() + self.across());
+                if n == 0 && column == 0 {
+                    self.draw_mark_labels(&mut svg, place.top);
+                }
+                let along = self.range(panel);
+                let ticks = self.x_ticks(along);
+                panel.draw(&mut svg, &place, self.scale, along, &ticks, &self.marks);
+                bottom = place.top + panel.height;
+                if self.along.is_none() {
+                    self.draw_x_axis(&mut svg, (place.left, bottom), along, &ticks);
+                }
             }
-            self.draw_panel(&mut svg, panel, top, &time_ticks);
-            bottom = top + panel.height;
-            top = bottom + BELOW_PANEL;
+            top += TITLE_ROW + marks + tallest(row) + self.below();
         }
-        self.draw_time_axis(&mut svg, bottom, &time_ticks);
+        if let Some(along) = self.along {
+            self.draw_x_axis(&mut svg, (LEFT, bottom), along, &self.x_ticks(along));
+        }
         svg.push_str("</svg>");
         svg
     }
 
-    fn time_ticks(&self) -> Ticks {
+    /// The range of the axis along the bottom of a panel, in coordinates of the scale.
+    fn range(&self, panel: &Panel) -> (f64, f64) {
+        let coordinates = |(low, high)| (self.scale.of(low), self.scale.of(high));
+        self.along.map_or_else(|| panel.range_along(self.scale), coordinates)
+    }
+
+    fn x_ticks(&self, range: (f64, f64)) -> Ticks {
         let most = (self.plot_width() / TICK_DISTANCE_X) as usize;
-        Ticks::between(self.time_s, most, Ladder::Decimal)
-    }
-
-    /// Place of a time in the plot, px from its left edge.
-    fn time_px(&self, time_s: f64) -> f64 {
-        let (first, last) = self.time_s;
-        (time_s - first) / (last - first).max(1e-9) * self.plot_width()
-    }
-
-    fn draw_panel(&self, svg: &mut String, panel: &Panel, top: f64, time_ticks: &Ticks) {
-        let (width, height) = (self.plot_width(), panel.height);
-        let (low, high) = panel.range(self.time_s);
-        let value_px = |value: f64| (high - value) / (high - low) * height;
-
-        // A drawing of its own clips what lies outside.
-        let (w, h) = (px(width), px(height));
-        let _ = write!(svg, "<svg x=\"{}\" y=\"{}\" width=\"{w}\" height=\"{h}\">", px(LEFT), px(top));
-        let ticks = panel.ticks((low, high));
-        for &time_s in &time_ticks.values {
-            let x = px(self.time_px(time_s));
-            let _ = write!(svg, "<path class=\"g\" d=\"M{x} 0V{h}\"/>");
-        }
-        for &value in &ticks.values {
-            let class = if value == 0.0 { "z" } else { "g" };
-            let _ = write!(svg, "<path class=\"{class}\" d=\"M0 {}H{w}\"/>", px(value_px(value)));
-        }
-        for mark in &self.marks {
-            let x = px(self.time_px(mark.time_s));
-            let _ = write!(svg, "<path class=\"m\" stroke=\"{}\" d=\"M{x} 0V{h}\"/>", mark.colour);
-        }
-        let projection = Projection { time_s: self.time_s, values: (low, high), width, height };
-        for line in &panel.lines {
-            let Stroke { colour, width, dashed } = line.stroke;
-            let dash = if dashed { " stroke-dasharray=\"60 40\"" } else { "" };
-            // The path is in tenths of a pixel.
-            let _ = write!(
-                svg,
-                "<path class=\"l\" stroke=\"{colour}\" stroke-width=\"{}\"{dash} d=\"{}\"/>",
-                px(width * 10.0),
-                projection.path(&line.points)
-            );
-        }
-        svg.push_str("</svg>");
-
-        for &value in &ticks.values {
-            let y = px(top + value_px(value) + 4.0);
-            let place = format!("class=\"k e\" x=\"{}\" y=\"{y}\"", px(LEFT - 7.0));
-            text(svg, &place, &ticks.label(value));
-        }
-        if let Some(right) = panel.right {
-            let to_right = |left: f64| right.zero + right.per_unit * left;
-            let ticks = Ticks::between((to_right(low), to_right(high)), panel.most_ticks(), Ladder::Decimal);
-            for &value in &ticks.values {
-                let y = px(top + value_px((value - right.zero) / right.per_unit) + 4.0);
-                let place = format!("class=\"k\" x=\"{}\" y=\"{y}\"", px(LEFT + width + 7.0));
-                text(svg, &place, &ticks.label(value));
-            }
+        match self.scale {
+            Scale::Linear => Ticks::between(range, most, Ladder::Decimal),
+            Scale::Logarithmic => Ticks::of_decades(range, most),
         }
     }
 
-    /// Title, units and legend of a panel, on one line at `y`.
-    fn draw_titles(&self, svg: &mut String, panel: &Panel, y: f64) {
-        let _ = write!(
-            svg,
-            "<text class=\"t\" x=\"{}\" y=\"{}\">{} <tspan class=\"u\">({})</tspan></text>",
-            px(LEFT),
-            px(y),
-            escaped(&panel.title),
-            escaped(panel.unit)
-        );
-        if let Some(right) = panel.right {
-            let place = format!("class=\"u e\" x=\"{}\" y=\"{}\"", px(self.width - 4.0), px(y));
-            text(svg, &place, &format!("({})", right.unit));
-        }
-        self.draw_legend(svg, panel, y);
+    /// Place of a coordinate in the plot, px from its left edge.
+    fn x_px(&self, (first, last): (f64, f64), x: f64) -> f64 {
+        (x - first) / (last - first).max(1e-9) * self.plot_width()
     }
 
-    /// The legend stands above the plot, at its right end.
-    fn draw_legend(&self, svg: &mut String, panel: &Panel, y: f64) {
-        const SWATCH: f64 = 22.0;
-        let mut x = LEFT + self.plot_width();
-        if panel.right.is_some() {
-            x -= 18.0;
-        }
-        for line in panel.lines.iter().rev().filter(|line| !line.label.is_empty()) {
-            x -= text_width(&line.label);
-            text(svg, &format!("class=\"n\" x=\"{}\" y=\"{}\"", px(x), px(y)), &line.label);
-            let Stroke { colour, width, dashed } = line.stroke;
-            let dash = if dashed { " stroke-dasharray=\"6 4\"" } else { "" };
-            let _ = write!(
-                svg,
-                "<path stroke=\"{colour}\" stroke-width=\"{}\"{dash} d=\"M{} {}h{SWATCH}\"/>",
-                px(width.max(1.5)),
-                px(x - SWATCH - 6.0),
-                px(y - 4.0)
-            );
-            x -= SWATCH + 6.0 + 14.0;
-        }
-    }
-
-    fn draw_time_axis(&self, svg: &mut String, y: f64, ticks: &Ticks) {
-        let _ = write!(svg, "<path class=\"a\" d=\"M{} {}h{}\"/>", px(LEFT), px(y), px(self.plot_width()));
-        for &time_s in &ticks.values {
-            let x = px(LEFT + self.time_px(time_s));
+    fn draw_x_axis(&self, svg: &mut String, (left, y): (f64, f64), range: (f64, f64), ticks: &Ticks) {
+        let _ = write!(svg, "<path class=\"a\" d=\"M{} {}h{}\"/>", px(left), px(y), px(self.plot_width()));
+        for (at, label) in ticks.labels() {
+            let x = px(left + self.x_px(range, at));
             let _ = write!(svg, "<path class=\"a\" d=\"M{x} {}v4\"/>", px(y));
-            text(svg, &format!("class=\"k c\" x=\"{x}\" y=\"{}\"", px(y + 17.0)), &ticks.label(time_s));
+            text(svg, &format!("class=\"k c\" x=\"{x}\" y=\"{}\"", px(y + 17.0)), &label);
         }
-        let place = format!("class=\"u e\" x=\"{}\" y=\"{}\"", px(LEFT + self.plot_width()), px(y + 33.0));
+        let place = format!("class=\"u e\" x=\"{}\" y=\"{}\"", px(left + self.plot_width()), px(y + 33.0));
         text(svg, &place, self.x_title);
+    }
+
+    /// Place of a mark in the plot, px from its left edge.
+    fn mark_px(&self, mark: &Mark) -> f64 {
+        let (first, last) = self.along.unwrap_or_default();
+        self.x_px((self.scale.of(first), self.scale.of(last)), self.scale.of(mark.time_s))
     }
 
     /// The marks' labels, above the first plot, whose top is at `bottom`.
     fn draw_mark_labels(&self, svg: &mut String, bottom: f64) {
         for (mark, label) in self.marks.iter().zip(self.mark_labels()) {
             let y = bottom - label.row as f64 * MARK_ROW;
-            let x = LEFT + self.time_px(mark.time_s);
+            let x = LEFT + self.mark_px(mark);
             // From the label down to the first plot; the plots draw their own part.
             let _ = write!(
                 svg,
@@ -371,7 +449,7 @@ impl Chart {
     fn mark_labels(&self) -> Vec<MarkLabel> {
         let mut placed: Vec<(usize, f64, f64)> = Vec::new();
         let place = |mark: &Mark| {
-            let x = self.time_px(mark.time_s);
+            let x = self.mark_px(mark);
             let length = text_width(&mark.label) + 10.0;
             let leftwards = x + length > self.plot_width();
             let (from, to) = if leftwards { (x - length, x) } else { (x, x + length) };
@@ -392,30 +470,9 @@ struct MarkLabel {
     leftwards: bool,
 }
 
-impl Panel {
-    /// The values that the axis covers.
-    fn range(&self, (first, last): (f64, f64)) -> (f64, f64) {
-        let shown = self.lines.iter().flat_map(|line| &line.points);
-        let shown = shown.filter(|(t, _)| (first..=last).contains(t)).map(|&(_, value)| value);
-        let all = shown.chain(self.covers.iter().copied()).filter(|value| value.abs() < BEYOND_PLOTTING);
-        let (low, high) = all
-            .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), value| (low.min(value), high.max(value)));
-        let (low, high) = if low > high { (0.0, 0.0) } else { (low, high) };
-        let margin = (0.06 * (high - low))
-            .max(0.5 * (self.least_span - (high - low)))
-            .max(1e-9 * high.abs())
-            .max(1e-9);
-        (low - margin, high + margin)
-    }
-
-    fn most_ticks(&self) -> usize {
-        (self.height / TICK_DISTANCE_Y).max(2.0) as usize
-    }
-
-    fn ticks(&self, range: (f64, f64)) -> Ticks {
-        let ladder = if self.unit.starts_with('°') { Ladder::Degrees } else { Ladder::Decimal };
-        Ticks::between(range, self.most_ticks(), ladder)
-    }
+/// Height of the tallest plot in a row, px.
+fn tallest(row: &[Panel]) -> f64 {
+    row.iter().map(|panel| panel.height).fold(0.0, f64::max)
 }
 
 /// A length in px, with as many digits as it needs.

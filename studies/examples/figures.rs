@@ -11,10 +11,10 @@ use std::error::Error;
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
-use sim_host::chart::{Chart, Line, Mark, Panel, Stroke, TIME, colour, log_log};
+use sim_host::chart::{Chart, Line, Mark, Panel, Stroke, colour};
 use sim_host::flight::{Flight, Outcome};
 use sim_host::output_file::OutputFile;
-use sim_host::report::figures::{ESTIMATE, TARGET, TRUTH, line, marks, panel};
+use sim_host::report::figures::{ESTIMATE, TARGET, TRUTH, line, marks};
 use sim_host::report::{Channel, Recorder};
 use sim_host::scene::{BUILT_IN, Scene};
 use studies::cost::{self, Axis, Options};
@@ -45,7 +45,7 @@ fn main() -> Result<(), Box<dyn Error>> {
 }
 
 /// The plots of `docs/accuracy.md`: against costs that are the same on every machine.
-fn costs() -> Result<Vec<(&'static str, log_log::Chart)>, Box<dyn Error>> {
+fn costs() -> Result<Vec<(&'static str, Chart)>, Box<dyn Error>> {
     let recordings = std::env::var_os("KESTREL_DATA").map(PathBuf::from);
     let options = Options { quick: false, timed: false, recordings };
     let mut pictures = vec![
@@ -118,7 +118,6 @@ fn hover() -> Result<Chart, Box<dyn Error>> {
         line(&recorder, Channel::Pulse(k), &format!("rotor {}", k + 1), Stroke::solid(colour, width))
     });
     Ok(Chart {
-        width: WIDTH,
         heading: Some((
             "A flight: take off, hold 2 m, land".into(),
             format!(
@@ -127,15 +126,20 @@ fn hover() -> Result<Chart, Box<dyn Error>> {
                 outcome.attitude_rmse_deg, outcome.position_error_max_m
             ),
         )),
-        description: "Height, error of the estimated attitude and ESC pulses during the hover scene".into(),
-        time_s: (0.0, scene.duration_s),
-        x_title: TIME,
-        panels: vec![
-            panel("Height", "m", 90.0, height),
-            Panel { covers: vec![0.0, 1.0], ..panel("Attitude error", "°", 42.0, error) },
-            Panel { covers: vec![1000.0, 2000.0], ..panel("ESC pulses", "µs", 54.0, motors.collect()) },
-        ],
         marks: marks(&outcome, &recorder),
+        ..Chart::over_time(
+            WIDTH,
+            "Height, error of the estimated attitude and ESC pulses during the hover scene",
+            (0.0, scene.duration_s),
+            vec![
+                Panel::new("Height", "m", 90.0, height),
+                Panel { covers: vec![0.0, 1.0], ..Panel::new("Attitude error", "°", 42.0, error) },
+                Panel {
+                    covers: vec![1000.0, 2000.0],
+                    ..Panel::new("ESC pulses", "µs", 54.0, motors.collect())
+                },
+            ],
+        )
     })
 }
 
@@ -155,11 +159,10 @@ fn paper_cannot_fly() -> Result<Chart, Box<dyn Error>> {
             line(recorder, Channel::TiltTruth, truth, TRUTH),
             line(recorder, Channel::TiltEstimate, estimate, ESTIMATE),
         ];
-        Panel { covers: vec![0.0, 90.0], ..panel(title, "°", 116.0, lines) }
+        Panel { covers: vec![0.0, 90.0], ..Panel::new(title, "°", 116.0, lines) }
     };
     let mark = |time_s: f64, label: &str, colour| Mark { time_s, label: label.into(), colour };
     Ok(Chart {
-        width: WIDTH,
         heading: Some((
             "In free flight the accelerometer hardly shows tilt".into(),
             format!(
@@ -168,19 +171,20 @@ fn paper_cannot_fly() -> Result<Chart, Box<dyn Error>> {
                 crash.text()
             ),
         )),
-        description: "True and estimated tilt during doublets of 30°: with the estimator flight they agree; \
-                      with the estimator paper they part, and the vehicle tips over"
-            .into(),
-        time_s: (13.0, 25.0),
-        x_title: TIME,
-        panels: vec![
-            strip("Tilt with the estimator flight, τ = 10 s", &good, ["truth", "estimate"]),
-            strip("Tilt with the estimator paper, τ = 0.323 s", &bad, ["", ""]),
-        ],
         marks: vec![
             mark(14.0, "roll doublet", colour::GREY),
             mark(19.0, "pitch doublet", colour::GREY),
             mark(crash_s, "crash with paper", colour::VERMILLION),
         ],
+        ..Chart::over_time(
+            WIDTH,
+            "True and estimated tilt during doublets of 30°: with the estimator flight they agree; with the estimator \
+             paper they part, and the vehicle tips over",
+            (13.0, 25.0),
+            vec![
+                strip("Tilt with the estimator flight, τ = 10 s", &good, ["truth", "estimate"]),
+                strip("Tilt with the estimator paper, τ = 0.323 s", &bad, ["", ""]),
+            ],
+        )
     })
 }

@@ -12,11 +12,11 @@ const TOLERANCE: f64 = 1.0;
 /// Coordinates beyond this are outside of any screen, tenths of a pixel.
 const FURTHEST: f64 = 1e6;
 
-/// From times and values to a plot.
+/// From coordinates of the axes to a plot.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Projection {
-    /// First and last time, s.
-    pub time_s: (f64, f64),
+    /// First and last along the bottom: as a rule a time, s.
+    pub along: (f64, f64),
     /// Values at the bottom and the top.
     pub values: (f64, f64),
     /// px.
@@ -42,14 +42,14 @@ impl Projection {
 
     /// What is in the range of times, and the neighbours that the line comes from and goes to.
     fn shown<'a>(&self, run: &'a [(f64, f64)]) -> &'a [(f64, f64)] {
-        let (first, last) = self.time_s;
+        let (first, last) = self.along;
         let from = run.partition_point(|&(t, _)| t < first).saturating_sub(1);
         let to = run.len().min(run.partition_point(|&(t, _)| t <= last) + 1);
         &run[from..to.max(from)]
     }
 
     fn project(&self, (t, value): (f64, f64)) -> Point {
-        let (first, last) = self.time_s;
+        let (first, last) = self.along;
         let (low, high) = self.values;
         let tenths = |x: f64| libm::rint(x * 10.0).clamp(-FURTHEST, FURTHEST) as i32;
         (
@@ -136,7 +136,7 @@ mod tests {
     use super::*;
 
     const PLOT: Projection =
-        Projection { time_s: (0.0, 10.0), values: (0.0, 1.0), width: 100.0, height: 50.0 };
+        Projection { along: (0.0, 10.0), values: (0.0, 1.0), width: 100.0, height: 50.0 };
 
     #[test]
     fn a_straight_line_is_two_points() {
@@ -171,7 +171,7 @@ mod tests {
 
     #[test]
     fn outside_of_the_times_only_the_neighbours_stay() {
-        let plot = Projection { time_s: (4.0, 6.0), ..PLOT };
+        let plot = Projection { along: (4.0, 6.0), ..PLOT };
         let points: Vec<_> = (0..=10).map(|k| (f64::from(k), f64::from(k % 2))).collect();
         assert_eq!(plot.path(&points), "M-500 0l500 500 500-500 500 500 500-500");
     }

@@ -1,7 +1,6 @@
 //! The deviations on logarithmic axes: bounds, slopes, coefficients.
 
-use crate::chart::log_log::{Band, Chart, Label, Line, Panel};
-use crate::chart::{Stroke, colour};
+use crate::chart::{Band, Chart, Label, Line, Panel, Stroke, colour};
 use allan::{Coefficient, Fit, Found, Point};
 
 /// The colour of a coefficient's slope.
@@ -17,13 +16,6 @@ fn colour_of(coefficient: Coefficient) -> &'static str {
 
 /// A column as a panel: its points with their bounds, and, if they are of the kind that was fitted, the slopes.
 pub fn panel(title: &str, unit: &str, points: &[Point], fit: Option<&Fit>) -> Panel {
-    let line = |label: &str, stroke, points, dots, sets_axes| Line {
-        label: label.into(),
-        stroke,
-        points,
-        dots,
-        sets_axes,
-    };
     let mut lines = Vec::new();
     let mut labels = Vec::new();
     let ends = points.first().zip(points.last()).map(|(first, last)| (first.tau_s, last.tau_s));
@@ -37,7 +29,8 @@ pub fn panel(title: &str, unit: &str, points: &[Point], fit: Option<&Fit>) -> Pa
         for &(coefficient, value) in &values {
             let at = |tau_s: f64| (tau_s, libm::sqrt(variance((coefficient, value), tau_s)));
             let colour = colour_of(coefficient);
-            lines.push(line("", Stroke::dashed(colour, 1.2), vec![at(first), at(last)], false, false));
+            let slope = Line::new("", Stroke::dashed(colour, 1.2), vec![at(first), at(last)]);
+            lines.push(Line { sets_axes: false, ..slope });
             // Read off where tradition does, or, if that is off the plot, where the term is most of the whole.
             let part = |tau_s: f64| {
                 let all: f64 = values.iter().map(|&term| variance(term, tau_s)).sum();
@@ -54,20 +47,16 @@ pub fn panel(title: &str, unit: &str, points: &[Point], fit: Option<&Fit>) -> Pa
             let steps = 60;
             let curve = (0..=steps).map(|k| from * libm::pow(to / from, f64::from(k) / f64::from(steps)));
             let curve = curve.map(|tau_s| (tau_s, model(tau_s))).collect();
-            lines.push(line("fit", Stroke::solid(colour::BLACK, 1.2), curve, false, true));
+            lines.push(Line::new("fit", Stroke::solid(colour::BLACK, 1.2), curve));
         }
     }
     let measured = points.iter().map(|p| (p.tau_s, p.deviation)).collect();
     // Dots for octaves; thousands of them would be a line anyway.
-    lines.push(line("deviation, 68 %", Stroke::solid(colour::BLUE, 1.4), measured, points.len() < 80, true));
+    let deviation = Line::new("deviation, 68 %", Stroke::solid(colour::BLUE, 1.4), measured);
+    lines.push(Line { dots: points.len() < 80, ..deviation });
     let bounds = points.iter().map(|p| (p.tau_s, p.lower, p.upper)).collect();
-    Panel {
-        title: title.into(),
-        unit: unit.into(),
-        bands: vec![Band { colour: colour::BLUE, points: bounds }],
-        lines,
-        labels,
-    }
+    let bands = vec![Band { colour: colour::BLUE, points: bounds }];
+    Panel { bands, labels, ..Panel::new(title, unit, 420.0, lines) }
 }
 
 /// Three digits.
@@ -81,17 +70,17 @@ pub fn short(value: f64) -> String {
 }
 
 /// A picture of such panels.
-pub fn chart(heading: (String, String), panels: Vec<Panel>) -> Chart {
+pub fn chart(heading: (String, String), mut panels: Vec<Panel>) -> Chart {
     let many = panels.len() > 1;
+    if many {
+        panels.iter_mut().for_each(|panel| panel.height = 280.0);
+    }
     let description = format!("Allan deviation over averaging time: {}", heading.0);
+    let width = if many { 1100.0 } else { 860.0 };
     Chart {
-        width: if many { 1100.0 } else { 860.0 },
-        in_a_row: if many { 2 } else { 1 },
-        plot_height: if many { 280.0 } else { 420.0 },
+        columns: if many { 2 } else { 1 },
         heading: Some(heading),
-        description,
-        x_title: "averaging time τ, s",
-        panels,
+        ..Chart::logarithmic(width, description, "averaging time τ, s", panels)
     }
 }
 

@@ -3,7 +3,7 @@
 use flight_core::arming::{Cause, Event};
 
 use super::recorder::{Channel, Recorder};
-use crate::chart::{Chart, Line, Mark, Panel, RightAxis, Stroke, TIME, colour};
+use crate::chart::{Chart, Line, Mark, Panel, RightAxis, Stroke, colour};
 use crate::flight::Outcome;
 use crate::scene::Scene;
 
@@ -38,7 +38,7 @@ pub(super) fn all(scene: &Scene, outcome: &Outcome, recorder: &Recorder) -> Vec<
         }
     }
     for figure in &mut list {
-        figure.chart.time_s = (0.0, outcome.flown_s());
+        figure.chart.along = Some((0.0, outcome.flown_s()));
         figure.chart.marks = marks(outcome, recorder);
     }
     list
@@ -67,24 +67,11 @@ pub fn marks(outcome: &Outcome, recorder: &Recorder) -> Vec<Mark> {
 
 /// A line of a channel.
 pub fn line(recorder: &Recorder, channel: Channel, label: &str, stroke: Stroke) -> Line {
-    Line { label: label.into(), stroke, points: recorder.points(channel) }
-}
-
-/// A panel whose axis fits its lines.
-pub fn panel(title: &str, unit: &'static str, height: f64, lines: Vec<Line>) -> Panel {
-    Panel { title: title.into(), unit, height, covers: Vec::new(), least_span: 0.0, right: None, lines }
+    Line::new(label, stroke, recorder.points(channel))
 }
 
 fn chart(description: &str, panels: Vec<Panel>) -> Chart {
-    Chart {
-        width: WIDTH,
-        heading: None,
-        description: description.into(),
-        time_s: (0.0, 0.0),
-        x_title: TIME,
-        panels,
-        marks: Vec::new(),
-    }
+    Chart::over_time(WIDTH, description, (0.0, 0.0), panels)
 }
 
 fn attitude(recorder: &Recorder) -> Figure {
@@ -95,7 +82,7 @@ fn attitude(recorder: &Recorder) -> Figure {
             line(recorder, Channel::AttitudeTruth(k), label("truth"), TRUTH),
             line(recorder, Channel::AttitudeEstimate(k), label("estimate"), ESTIMATE),
         ];
-        Panel { least_span: 1.0, ..panel(title, "°", 110.0, lines) }
+        Panel { least_span: 1.0, ..Panel::new(title, "°", 110.0, lines) }
     };
     let panels = [(0, "Roll"), (1, "Pitch"), (2, "Yaw")].map(axis);
     Figure {
@@ -111,7 +98,7 @@ fn attitude(recorder: &Recorder) -> Figure {
 fn estimate_error(recorder: &Recorder) -> Figure {
     let error = |title: &str, channel, colour| {
         let lines = vec![line(recorder, channel, "", Stroke::solid(colour, 1.4))];
-        Panel { covers: vec![0.0], least_span: 0.05, ..panel(title, "°", 90.0, lines) }
+        Panel { covers: vec![0.0], least_span: 0.05, ..Panel::new(title, "°", 90.0, lines) }
     };
     Figure {
         title: "Error of the estimate",
@@ -137,7 +124,7 @@ fn rates(recorder: &Recorder) -> Figure {
             line(recorder, Channel::RateFiltered(k), label("filtered"), MEASURED),
             line(recorder, Channel::RateTruth(k), label("truth"), TRUTH_ON_MEASURED),
         ];
-        Panel { least_span: 1.0, ..panel(title, "°/s", 100.0, lines) }
+        Panel { least_span: 1.0, ..Panel::new(title, "°/s", 100.0, lines) }
     };
     let panels = [(0, "Roll rate"), (1, "Pitch rate"), (2, "Yaw rate")].map(axis);
     Figure {
@@ -166,7 +153,7 @@ fn motors(scene: &Scene, recorder: &Recorder) -> Figure {
         Panel {
             covers: vec![stop_us, full_us],
             right: Some(right),
-            ..panel(title, "µs", 84.0, vec![pulse, speed])
+            ..Panel::new(title, "µs", 84.0, vec![pulse, speed])
         }
     };
     let names = ["Rotor 1, front left", "Rotor 2, front right", "Rotor 3, rear right", "Rotor 4, rear left"];
@@ -197,8 +184,12 @@ fn place(recorder: &Recorder) -> Figure {
         chart: chart(
             "Height, and distance north and east of the pilot's target, over time",
             vec![
-                panel("Height above the start", "m", 150.0, height),
-                Panel { covers: vec![0.0], least_span: 0.1, ..panel("From the target", "m", 110.0, place) },
+                Panel::new("Height above the start", "m", 150.0, height),
+                Panel {
+                    covers: vec![0.0],
+                    least_span: 0.1,
+                    ..Panel::new("From the target", "m", 110.0, place)
+                },
             ],
         ),
     }

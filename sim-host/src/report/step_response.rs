@@ -6,9 +6,9 @@ use std::path::Path;
 use flight_core::geometry::Vec3;
 use input::InputError;
 
-use super::figures::{TARGET, TRUTH, panel};
+use super::figures::{TARGET, TRUTH};
 use super::page::begin;
-use crate::chart::{Chart, Line, Stroke, TIME, colour, escaped};
+use crate::chart::{Chart, Line, Panel, Stroke, colour, escaped};
 use crate::flight::{Observer, StepView};
 use crate::output_file;
 
@@ -76,11 +76,6 @@ impl StepResponse {
 
     fn chart(&self, asked_rad: f64, rotor_limits_rad_s: (f64, f64)) -> Chart {
         let seen = || self.points.iter().step_by(THINNED as usize);
-        let line = |label: &str, stroke: Stroke, points: Vec<(f64, f64)>| Line {
-            label: label.into(),
-            stroke,
-            points,
-        };
         let end_s = STEP_S.1 - STEP_S.0;
         let asked_deg = asked_rad.to_degrees();
         let asked = vec![(-BEFORE_S, 0.0), (0.0, 0.0), (0.0, asked_deg), (end_s, asked_deg)];
@@ -91,26 +86,25 @@ impl StepResponse {
         let mut rotors: Vec<Line> = (0..4)
             .map(|n| {
                 let speed = seen().map(|point| (point.0, point.3[n])).collect();
-                line(places[n], Stroke::solid(colours[n], 1.5), speed)
+                Line::new(places[n], Stroke::solid(colours[n], 1.5), speed)
             })
             .collect();
         let (slowest, fastest) = rotor_limits_rad_s;
         for limit in [slowest, fastest] {
-            rotors.push(line("", TARGET, vec![(-BEFORE_S, limit), (end_s, limit)]));
+            rotors.push(Line::new("", TARGET, vec![(-BEFORE_S, limit), (end_s, limit)]));
         }
-        Chart {
-            width: 920.0,
-            heading: None,
-            description: "Roll, its rate and the rotors' speeds after a step of the stick".into(),
-            time_s: (-BEFORE_S, end_s),
-            x_title: TIME,
-            panels: vec![
-                panel("roll", "°", 240.0, vec![line("true", TRUTH, roll), line("stick", TARGET, asked)]),
-                panel("rate", "°/s", 160.0, vec![line("true", TRUTH, rate)]),
-                panel("rotors, and their limits", "rad/s", 180.0, rotors),
+        let roll = vec![Line::new("true", TRUTH, roll), Line::new("stick", TARGET, asked)];
+        let rate = vec![Line::new("true", TRUTH, rate)];
+        Chart::over_time(
+            920.0,
+            "Roll, its rate and the rotors' speeds after a step of the stick",
+            (-BEFORE_S, end_s),
+            vec![
+                Panel::new("roll", "°", 240.0, roll),
+                Panel::new("rate", "°/s", 160.0, rate),
+                Panel::new("rotors, and their limits", "rad/s", 180.0, rotors),
             ],
-            marks: Vec::new(),
-        }
+        )
     }
 }
 

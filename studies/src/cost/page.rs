@@ -4,8 +4,7 @@ use std::fmt::Write as _;
 
 use super::table::{columns, number, shown};
 use super::{Axis, Setting, Study};
-use sim_host::chart::log_log::{Chart, Label, Line, Panel};
-use sim_host::chart::{Stroke, colour, escaped};
+use sim_host::chart::{Chart, Label, Line, Panel, Stroke, colour, escaped};
 use sim_host::report::begin;
 
 /// Fits a README and a page, px.
@@ -18,15 +17,9 @@ pub fn plot(study: &Study, (axis, axis_title): (Axis, &'static str), wanted: imp
     let problems: Vec<&str> = study.problems().into_iter().filter(|problem| wanted(problem)).collect();
     let panels: Vec<Panel> =
         problems.iter().map(|problem| panel(study, problem, axis, problems.len() == 1)).collect();
-    Chart {
-        width: WIDTH,
-        in_a_row: if panels.len() == 1 { 1 } else { 2 },
-        plot_height: 250.0,
-        heading: None,
-        description: format!("{}: error against cost, {axis_title}", study.title),
-        x_title: axis_title,
-        panels,
-    }
+    let description = format!("{}: error against cost, {axis_title}", study.title);
+    let columns = if panels.len() == 1 { 1 } else { 2 };
+    Chart { columns, ..Chart::logarithmic(WIDTH, description, axis_title, panels) }
 }
 
 fn panel(study: &Study, problem: &str, axis: Axis, legend: bool) -> Panel {
@@ -38,13 +31,7 @@ fn panel(study: &Study, problem: &str, axis: Axis, legend: bool) -> Panel {
         .filter_map(|s| place(s))
         .collect();
     front.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let mut lines = vec![Line {
-        label: String::new(),
-        stroke: Stroke::solid("#ddd", 7.0),
-        points: front,
-        dots: false,
-        sets_axes: false,
-    }];
+    let mut lines = vec![Line { sets_axes: false, ..Line::new("", Stroke::solid("#ddd", 7.0), front) }];
     let mut labels = Vec::new();
     for (series, stroke) in series(study) {
         let of: Vec<&Setting> = settings.iter().filter(|s| s.series == series).copied().collect();
@@ -67,16 +54,12 @@ fn panel(study: &Study, problem: &str, axis: Axis, legend: bool) -> Panel {
                 });
             }
         }
-        lines.push(Line {
-            label: if legend && !lone { series.into() } else { String::new() },
-            stroke: if lone { Stroke { width: 0.0, ..stroke } } else { stroke },
-            points,
-            dots: true,
-            sets_axes: true,
-        });
+        let label = if legend && !lone { series } else { "" };
+        let stroke = if lone { Stroke { width: 0.0, ..stroke } } else { stroke };
+        lines.push(Line { dots: true, ..Line::new(label, stroke, points) });
     }
     let unit = settings.first().map_or("", |s| s.error_unit);
-    Panel { title: problem.into(), unit: unit.into(), bands: Vec::new(), lines, labels }
+    Panel { labels, ..Panel::new(problem, unit, 250.0, lines) }
 }
 
 /// Whether a series is a line, and not a single point.

@@ -8,7 +8,7 @@ use super::bench::{self, GRAVITY_UP};
 use super::{Exhibit, numbers};
 use allan::{Coefficient, Fit, Point};
 use input::InputError;
-use sim_host::chart::{self, Chart, Panel, Stroke, TIME, colour, log_log};
+use sim_host::chart::{Band, Chart, Label, Line, Panel, Stroke, colour};
 use sim_host::dynamics::{GRAVITY, Vehicle};
 use sim_host::effects::Moment;
 use sim_host::identify::plot;
@@ -32,17 +32,16 @@ pub fn all(progress: &dyn Fn(u64)) -> Result<Vec<Exhibit>, InputError> {
     Ok(list)
 }
 
-fn line(label: &str, stroke: Stroke, points: Vec<(f64, f64)>) -> chart::Line {
-    chart::Line { label: label.into(), stroke, points }
+fn line(label: &str, stroke: Stroke, points: Vec<(f64, f64)>) -> Line {
+    Line::new(label, stroke, points)
 }
 
-fn panel(title: &str, unit: &'static str, lines: Vec<chart::Line>) -> Panel {
-    Panel { title: title.into(), unit, height: 150.0, covers: vec![0.0], least_span: 0.0, right: None, lines }
+fn panel(title: &str, unit: &'static str, lines: Vec<Line>) -> Panel {
+    Panel { covers: vec![0.0], ..Panel::new(title, unit, 150.0, lines) }
 }
 
 fn picture(description: &str, along: (f64, f64), x_title: &'static str, panels: Vec<Panel>) -> String {
-    let description = description.into();
-    Chart { width: WIDTH, heading: None, description, time_s: along, x_title, panels, marks: vec![] }.to_svg()
+    Chart { x_title, ..Chart::over_time(WIDTH, description, along, panels) }.to_svg()
 }
 
 fn at_rest(scene: &Scene) -> Vehicle {
@@ -94,7 +93,7 @@ fn bias() -> Result<Exhibit, InputError> {
     let html = picture(
         "Position error of a biased accelerometer and a biased gyroscope over a minute",
         (0.0, f64::from(SECONDS)),
-        TIME,
+        "time, s",
         vec![
             panel("Position error from 1 mg of accelerometer bias", "m", pair(&accel, &eq_2, "eq 2")),
             panel("Position error from 1 °/h of gyroscope bias", "m", pair(&gyro, &eq_3, "eq 3")),
@@ -219,15 +218,15 @@ fn five_errors() -> Result<Exhibit, InputError> {
     )?;
     let [x, ..] = bench::readings(&scene, &mut scene.gyro(1, RATE_HZ), Vec3::ZERO, RATE_HZ, false);
     let (points, fit) = bench::analysed(x.into_iter().map(|y| y / DEG).collect(), RATE_HZ, None);
-    let chart = log_log::Chart {
-        width: WIDTH,
-        in_a_row: 1,
-        plot_height: 380.0,
-        heading: None,
-        description: "Allan deviation of a simulated gyroscope over four days, with its three errors".into(),
-        x_title: "averaging time τ, s",
-        panels: vec![plot::panel("Overlapping Allan deviation", "°/s", &points, Some(&fit))],
-    };
+    let chart = Chart::logarithmic(
+        WIDTH,
+        "Allan deviation of a simulated gyroscope over four days, with its three errors",
+        "averaging time τ, s",
+        vec![Panel {
+            height: 380.0,
+            ..plot::panel("Overlapping Allan deviation", "°/s", &points, Some(&fit))
+        }],
+    );
     let said = put_in.map(|(coefficient, put_in)| {
         let found = plot::said(coefficient, &fit.found[coefficient as usize], "°/s");
         format!("{} {} → {found}", coefficient.letter(), plot::short(put_in))
@@ -280,35 +279,21 @@ fn allan_plots() -> Result<Vec<Exhibit>, InputError> {
             let colour = AXIS_COLOURS[i];
             let value = fit.found[n as usize].value().unwrap_or(f64::NAN);
             // The lines of equal axes lie on each other: the first is the broadest.
-            lines.push(log_log::Line {
-                label: format!("{}, N {}", AXES[i], plot::short(value)),
-                stroke: Stroke::solid(colour, [2.6, 1.8, 1.0][i]),
-                points: points.iter().map(|p| (p.tau_s, p.deviation)).collect(),
-                dots: true,
-                sets_axes: true,
-            });
-            bands.push(log_log::Band {
-                colour,
-                points: points.iter().map(|p| (p.tau_s, p.lower, p.upper)).collect(),
-            });
-            labels.push(log_log::Label { at: (1.0, value), text: String::new(), colour });
+            let label = format!("{}, N {}", AXES[i], plot::short(value));
+            let measured = points.iter().map(|p| (p.tau_s, p.deviation)).collect();
+            let stroke = Stroke::solid(colour, [2.6, 1.8, 1.0][i]);
+            lines.push(Line { dots: true, ..Line::new(label, stroke, measured) });
+            bands.push(Band { colour, points: points.iter().map(|p| (p.tau_s, p.lower, p.upper)).collect() });
+            labels.push(Label { at: (1.0, value), text: String::new(), colour });
             said.push(format!("{}: {} for {}", AXES[i], plot::short(value), plot::short(printed[i])));
         }
-        let chart = log_log::Chart {
-            width: WIDTH,
-            in_a_row: 1,
-            plot_height: 340.0,
-            heading: None,
-            description: format!("Allan deviation of the {what}, three axes"),
-            x_title: "averaging time τ, s",
-            panels: vec![log_log::Panel {
-                title: format!("Overlapping Allan deviation of the {what}"),
-                unit: unit.into(),
-                bands,
-                lines,
-                labels,
-            }],
-        };
+        let title = format!("Overlapping Allan deviation of the {what}");
+        let chart = Chart::logarithmic(
+            WIDTH,
+            format!("Allan deviation of the {what}, three axes"),
+            "averaging time τ, s",
+            vec![Panel { bands, labels, ..Panel::new(title, unit, 340.0, lines) }],
+        );
         let points: Vec<Vec<Point>> = analysed.into_iter().map(|a| a.0).collect();
         Exhibit {
             name: format!("figure-{number:02}"),
@@ -376,7 +361,7 @@ fn chain() -> Result<Exhibit, InputError> {
     let html = picture(
         "Gyroscope before and behind the filter, and the angles of the complementary filter, at rest",
         (10.0, 20.0),
-        TIME,
+        "time, s",
         vec![
             panel(
                 "Gyroscope x",

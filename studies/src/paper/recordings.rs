@@ -9,7 +9,7 @@ use super::spectrum::density;
 use super::{Exhibit, numbers, tabulated};
 use allan::{Coefficient, Point};
 use input::InputError;
-use sim_host::chart::{self, Chart, Panel, Stroke, TIME, colour, log_log};
+use sim_host::chart::{Chart, Line, Panel, Stroke, colour};
 use sim_host::identify::plot;
 use sim_host::log::{AccelSign, Axes, Frame, Log, LogRow};
 
@@ -111,37 +111,24 @@ fn exhibit(name: &str, number: usize, measured: Vec<f64>, rate_hz: f64) -> Resul
     let strokes = [Stroke::solid(colour::ORANGE, 1.2), Stroke::solid(colour::BLUE, 1.2)];
     let seconds = measured.len() as f64 / rate_hz;
     let along = |samples: &[f64]| samples.iter().enumerate().map(|(k, y)| (k as f64 / rate_hz, *y)).collect();
-    let series = both.iter().zip(strokes).map(|((label, samples), stroke)| Panel {
-        title: format!("{sensor} {axis}, {label}"),
-        unit: if is_gyro { "°/s" } else { "m/s²" },
-        height: 90.0,
-        // The same axis for both.
-        covers: both
-            .iter()
-            .flat_map(|(_, s)| s.iter().copied())
-            .fold([mean, mean], |[a, b], y| [a.min(y), b.max(y)])
-            .to_vec(),
-        least_span: 0.0,
-        right: None,
-        lines: vec![chart::Line { label: String::new(), stroke, points: along(samples) }],
+    // The same axis for both.
+    let covers = both
+        .iter()
+        .flat_map(|(_, s)| s.iter().copied())
+        .fold([mean, mean], |[a, b], y| [a.min(y), b.max(y)])
+        .to_vec();
+    let series = both.iter().zip(strokes).map(|((label, samples), stroke)| {
+        let lines = vec![Line::new("", stroke, along(samples))];
+        let unit = if is_gyro { "°/s" } else { "m/s²" };
+        Panel { covers: covers.clone(), ..Panel::new(format!("{sensor} {axis}, {label}"), unit, 90.0, lines) }
     });
-    let series = Chart {
-        width: 920.0,
-        heading: None,
-        description: format!("{sensor} {axis} at rest, measured and simulated"),
-        time_s: (0.0, seconds),
-        x_title: TIME,
-        panels: series.collect(),
-        marks: vec![],
-    };
+    let description = format!("{sensor} {axis} at rest, measured and simulated");
+    let series = Chart::over_time(920.0, description, (0.0, seconds), series.collect());
     let (simulated_points, _) = bench::analysed(simulated.clone(), rate_hz, None);
     let spectra = [density(&measured, rate_hz), density(&simulated, rate_hz)];
-    let curve = |label: &str, stroke: Stroke, points: Vec<(f64, f64)>, dots: bool| log_log::Line {
-        label: label.into(),
-        stroke,
-        points,
+    let curve = |label: &str, stroke: Stroke, points: Vec<(f64, f64)>, dots: bool| Line {
         dots,
-        sets_axes: true,
+        ..Line::new(label, stroke, points)
     };
     let deviation = |points: &[Point]| points.iter().map(|p| (p.tau_s, p.deviation)).collect::<Vec<_>>();
     let root = |density: &[(f64, f64)]| density.iter().map(|&(f, d)| (f, libm::sqrt(d))).collect::<Vec<_>>();
@@ -149,38 +136,22 @@ fn exhibit(name: &str, number: usize, measured: Vec<f64>, rate_hz: f64) -> Resul
         let [measured, simulated] = pair;
         vec![curve("measured", strokes[0], measured, dots), curve("simulated", strokes[1], simulated, dots)]
     };
-    let log_panel = |title: &str, unit: String, lines| log_log::Panel {
-        title: title.into(),
-        unit,
-        bands: vec![],
-        lines,
-        labels: vec![],
-    };
     // Two charts with one panel each, because their axes along the bottom are not of one kind.
-    let log_chart = |x_title: &'static str, panel: log_log::Panel| {
-        let description = format!("{} of {sensor} {axis}, measured and simulated", panel.title);
-        log_log::Chart {
-            width: 455.0,
-            in_a_row: 1,
-            plot_height: 220.0,
-            heading: None,
-            description,
-            x_title,
-            panels: vec![panel],
-        }
-        .to_svg()
+    let log_chart = |x_title: &'static str, title: &str, unit: String, lines: Vec<Line>| {
+        let description = format!("{title} of {sensor} {axis}, measured and simulated");
+        Chart::logarithmic(455.0, description, x_title, vec![Panel::new(title, unit, 220.0, lines)]).to_svg()
     };
     let spectrum = log_chart(
         "frequency, Hz",
-        log_panel("Root density", format!("{unit}/√Hz"), of(spectra.each_ref().map(|s| root(s)), false)),
+        "Root density",
+        format!("{unit}/√Hz"),
+        of(spectra.each_ref().map(|s| root(s)), false),
     );
     let allan = log_chart(
         "averaging time τ, s",
-        log_panel(
-            "Allan deviation",
-            unit.into(),
-            of([deviation(&points), deviation(&simulated_points)], true),
-        ),
+        "Allan deviation",
+        unit.into(),
+        of([deviation(&points), deviation(&simulated_points)], true),
     );
 
     let row = |label: &str, samples: &[f64], points: &[Point]| {
