@@ -32,6 +32,7 @@ mod ticks;
 
 use std::fmt::Write as _;
 
+use maud::Render;
 use panel::Place;
 use ticks::{Ladder, Ticks};
 
@@ -459,6 +460,13 @@ impl Chart {
             MarkLabel { row, leftwards }
         };
         self.marks.iter().map(place).collect()
+    }
+}
+
+/// In a page.
+impl Render for Chart {
+    fn render_to(&self, page: &mut String) {
+        page.push_str(&self.to_svg());
     }
 }
 

@@ -24,7 +24,7 @@ mod trace;
 
 use std::path::Path;
 
-pub use page::{begin, page};
+pub use page::{document, figure, page, printable};
 pub use recorder::{Channel, Recorder};
 
 use crate::flight::Outcome;

@@ -1,14 +1,14 @@
 //! The page of proposed gains: how the vehicle answers a step of the stick, in truth.
 
-use std::fmt::Write as _;
 use std::path::Path;
 
 use flight_core::geometry::Vec3;
 use input::InputError;
+use maud::html;
 
 use super::figures::{TARGET, TRUTH};
-use super::page::begin;
-use crate::chart::{Chart, Line, Panel, Stroke, colour, escaped};
+use super::page::{document, figure, printable};
+use crate::chart::{Chart, Line, Panel, Stroke, colour};
 use crate::flight::{Observer, StepView};
 use crate::output_file;
 
@@ -125,41 +125,44 @@ pub struct Proposal<'a> {
 
 /// The page.
 pub fn page(proposal: &Proposal<'_>, response: &StepResponse) -> String {
-    let vehicle = escaped(proposal.vehicle);
-    let mut html = begin(&format!("Gains for {vehicle}"), "");
-    let _ = write!(
-        html,
-        "<header>\n<p class=\"kind\">Kestrel · proposed gains</p>\n<h1>{vehicle}</h1>\n\
-         <p class=\"about\">A step of the roll stick in free flight, with the sensors' noise, the rotors' lag and the \
-         drag of the scene <code>steps</code>. What is shown is the truth.</p>\n</header>\n"
-    );
+    let vehicle = printable(proposal.vehicle);
     let Answered { rise_s, overshoot, settled_s } = response.answered(proposal.asked_rad);
     let time =
         |time_s: Option<f64>| time_s.map_or("not reached".into(), |time_s| format!("{:.0} ms", time_s * 1e3));
-    let chart = response.chart(proposal.asked_rad, proposal.rotor_limits_rad_s).to_svg();
-    let _ = write!(
-        html,
-        "<figure>\n<h2>A step of {:.0}°</h2>\n<figcaption>From a tenth to nine tenths {}; overshoot {:.0} %; within 5 % \
-         after {}.</figcaption>\n<div class=\"scroll\">{chart}</div>\n</figure>\n",
-        proposal.asked_rad.to_degrees(),
-        time(rise_s),
-        overshoot * 100.0,
-        time(settled_s),
-    );
-    html.push_str("<section>\n<h2>Loops</h2>\n<table>\n<tr><th>loop</th><th>crossover, Hz</th><th>phase margin</th></tr>\n");
-    for (name, crossover_hz, margin_deg) in proposal.loops {
-        let _ = writeln!(
-            html,
-            "<tr><td>{}</td><td>{crossover_hz:.2}</td><td>{margin_deg:.0}°</td></tr>",
-            escaped(name)
-        );
-    }
-    let _ = write!(
-        html,
-        "</table>\n</section>\n<section>\n<h2>For the vehicle's file</h2>\n<pre>{}</pre>\n</section>\n</main>\n</body>\n</html>\n",
-        escaped(proposal.gains)
-    );
-    html
+    let step = format!("A step of {:.0}°", proposal.asked_rad.to_degrees());
+    let caption = html! {
+        "From a tenth to nine tenths " (time(rise_s)) "; overshoot " (format!("{:.0}", overshoot * 100.0))
+        " %; within 5 % after " (time(settled_s)) "."
+    };
+    let content = html! {
+        header {
+            p.kind { "Kestrel · proposed gains" }
+            h1 { (vehicle) }
+            p.about {
+                "A step of the roll stick in free flight, with the sensors' noise, the rotors' lag and the drag of the \
+                 scene " code { "steps" } ". What is shown is the truth."
+            }
+        }
+        (figure(&step, &caption, &response.chart(proposal.asked_rad, proposal.rotor_limits_rad_s)))
+        section {
+            h2 { "Loops" }
+            table {
+                tr { th { "loop" } th { "crossover, Hz" } th { "phase margin" } }
+                @for (name, crossover_hz, margin_deg) in proposal.loops {
+                    tr {
+                        td { (name) }
+                        td { (format!("{crossover_hz:.2}")) }
+                        td { (format!("{margin_deg:.0}°")) }
+                    }
+                }
+            }
+        }
+        section {
+            h2 { "For the vehicle's file" }
+            pre { (proposal.gains) }
+        }
+    };
+    document(&format!("Gains for {vehicle}"), "", &content)
 }
 
 /// Writes the page: complete, or not at all.

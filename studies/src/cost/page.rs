@@ -1,11 +1,11 @@
 //! The studies on a page: one HTML file with everything in it, and each plot by itself.
 
-use std::fmt::Write as _;
+use maud::{Markup, html};
 
 use super::table::{columns, number, shown};
 use super::{Axis, Setting, Study};
-use sim_host::chart::{Chart, Label, Line, Panel, Stroke, colour, escaped};
-use sim_host::report::begin;
+use sim_host::chart::{Chart, Label, Line, Panel, Stroke, colour};
+use sim_host::report::document;
 
 /// Fits a README and a page, px.
 const WIDTH: f64 = 900.0;
@@ -88,88 +88,90 @@ fn series(study: &Study) -> Vec<(&str, Stroke)> {
 
 /// The page.
 pub fn page(studies: &[Study]) -> String {
-    let mut html = begin("What accuracy costs", include_str!("page.css"));
-    html.push_str(
-        "<header>\n<p class=\"kind\">Kestrel · error against cost</p>\n<h1>What accuracy costs</h1>\n\
-         <p class=\"about\">Parts of the flight code and of the simulator, each swept over its settings and judged \
-         against a reference that is independent of it.</p>\n\
-         <p class=\"facts\">Grey band and bold: the Pareto front, settings that no other of the same problem beats in \
-         error and cost. Black dot and “default”: what Kestrel does unless told otherwise. Errors and instructions are \
-         the same in every run; times are this machine's.</p>\n</header>\n",
-    );
-    for study in studies {
-        section(&mut html, study);
-    }
-    html.push_str(
-        "<footer>Instructions are counted on an emulated Cortex-M4F; a processor at 168 MHz is taken to need two cycles \
-         for each. Times are the quickest of several batches on the machine that made this page.</footer>\n\
-         </main>\n</body>\n</html>\n",
-    );
-    html
+    let content = html! {
+        header {
+            p.kind { "Kestrel · error against cost" }
+            h1 { "What accuracy costs" }
+            p.about {
+                "Parts of the flight code and of the simulator, each swept over its settings and judged against a reference \
+                 that is independent of it."
+            }
+            p.facts {
+                "Grey band and bold: the Pareto front, settings that no other of the same problem beats in error and cost. \
+                 Black dot and “default”: what Kestrel does unless told otherwise. Errors and instructions are the same in \
+                 every run; times are this machine's."
+            }
+        }
+        @for study in studies { (section(study)) }
+        footer {
+            "Instructions are counted on an emulated Cortex-M4F; a processor at 168 MHz is taken to need two cycles for \
+             each. Times are the quickest of several batches on the machine that made this page."
+        }
+    };
+    document("What accuracy costs", include_str!("page.css"), &content)
 }
 
 /// Text with what stands in backticks as code.
-fn prose(text: &str) -> String {
-    let part = |(k, part)| if k % 2 == 1 { format!("<code>{}</code>", escaped(part)) } else { escaped(part) };
-    text.split('`').enumerate().map(part).collect()
+fn prose(text: &str) -> Markup {
+    html! {
+        @for (k, part) in text.split('`').enumerate() {
+            @if k % 2 == 1 { code { (part) } } @else { (part) }
+        }
+    }
 }
 
-fn section(html: &mut String, study: &Study) {
-    let _ = write!(
-        html,
-        "<section id=\"{}\">\n<figure>\n<h2>{}</h2>\n<figcaption>{} <b>Reference:</b> {}</figcaption>\n",
-        study.name,
-        escaped(study.title),
-        prose(&study.about),
-        prose(&study.reference)
-    );
-    if has_lines(study) && study.problems().len() > 1 {
-        html.push_str("<p class=\"legend\">");
-        for (name, Stroke { colour, dashed, .. }) in series(study) {
-            let style = if dashed { "dashed" } else { "solid" };
-            let _ = write!(
-                html,
-                "<span><i style=\"border-top:3px {style} {colour}\"></i>{}</span> ",
-                escaped(name)
-            );
-        }
-        html.push_str("</p>\n");
-    }
+fn section(study: &Study) -> Markup {
     let chart = plot(study, (study.axis, study.axis_title), |_| true);
-    let _ = write!(html, "<div class=\"scroll\">{}</div>\n</figure>\n", chart.to_svg());
-    for remark in &study.remarks {
-        let _ = writeln!(html, "<p class=\"remark\">{}</p>", prose(remark));
-    }
-    let columns = columns(study);
-    for problem in study.problems() {
-        let (rows, count) = shown(study, problem);
-        let unit = rows.first().map_or("", |s| s.error_unit);
-        let of =
-            if rows.len() < count { format!("; {} of {count} settings", rows.len()) } else { String::new() };
-        let _ = write!(
-            html,
-            "<table class=\"data\">\n<caption>{} <small>error: {}; costs of {}{of}</small></caption>\n\
-             <tr><th>setting</th>",
-            escaped(problem),
-            escaped(unit),
-            escaped(study.per),
-        );
-        for (name, _) in &columns {
-            let _ = write!(html, "<th class=\"n\">{}</th>", escaped(name));
-        }
-        html.push_str("</tr>\n");
-        for s in rows {
-            let class = if s.pareto { " class=\"front\"" } else { "" };
-            let mark = if s.default { " <small>default</small>" } else { "" };
-            let _ = write!(html, "<tr{class}><td>{}{mark}</td>", escaped(&s.setting));
-            for (_, value) in &columns {
-                let _ = write!(html, "<td class=\"n\">{}</td>", number(value(s)));
+    html! {
+        section id=(study.name) {
+            figure {
+                h2 { (study.title) }
+                figcaption { (prose(&study.about)) " " b { "Reference:" } " " (prose(&study.reference)) }
+                @if has_lines(study) && study.problems().len() > 1 { (legend(study)) }
+                div.scroll { (chart) }
             }
-            html.push_str("</tr>\n");
+            @for remark in &study.remarks { p.remark { (prose(remark)) } }
+            @for problem in study.problems() { (table(study, problem)) }
         }
-        html.push_str("</table>\n");
     }
-    html.push_str("</section>\n");
+}
+
+fn legend(study: &Study) -> Markup {
+    let border = |Stroke { colour, dashed, .. }| {
+        format!("border-top:3px {} {colour}", if dashed { "dashed" } else { "solid" })
+    };
+    html! {
+        p.legend {
+            @for (name, stroke) in series(study) { span { i style=(border(stroke)) {} (name) } " " }
+        }
+    }
+}
+
+fn table(study: &Study, problem: &str) -> Markup {
+    let columns = columns(study);
+    let (rows, count) = shown(study, problem);
+    let unit = rows.first().map_or("", |s| s.error_unit);
+    html! {
+        table.data {
+            caption {
+                (problem) " "
+                small {
+                    "error: " (unit) "; costs of " (study.per)
+                    @if rows.len() < count { "; " (rows.len()) " of " (count) " settings" }
+                }
+            }
+            tr {
+                th { "setting" }
+                @for (name, _) in &columns { th.n { (name) } }
+            }
+            @for s in rows {
+                tr class=[s.pareto.then_some("front")] {
+                    td { (s.setting) @if s.default { " " small { "default" } } }
+                    @for (_, value) in &columns { td.n { (number(value(s))) } }
+                }
+            }
+        }
+    }
 }
 
 #[cfg(test)]

@@ -8,6 +8,7 @@ use super::bench::{self, GRAVITY_UP};
 use super::{Exhibit, numbers};
 use allan::{Coefficient, Fit, Point};
 use input::InputError;
+use maud::{Markup, Render};
 use sim_host::chart::{Band, Chart, Label, Line, Panel, Stroke, colour};
 use sim_host::dynamics::{GRAVITY, Vehicle};
 use sim_host::effects::Moment;
@@ -40,8 +41,8 @@ fn panel(title: &str, unit: &'static str, lines: Vec<Line>) -> Panel {
     Panel { covers: vec![0.0], ..Panel::new(title, unit, 150.0, lines) }
 }
 
-fn picture(description: &str, along: (f64, f64), x_title: &'static str, panels: Vec<Panel>) -> String {
-    Chart { x_title, ..Chart::over_time(WIDTH, description, along, panels) }.to_svg()
+fn picture(description: &str, along: (f64, f64), x_title: &'static str, panels: Vec<Panel>) -> Markup {
+    Chart { x_title, ..Chart::over_time(WIDTH, description, along, panels) }.render()
 }
 
 fn at_rest(scene: &Scene) -> Vehicle {
@@ -240,7 +241,7 @@ fn five_errors() -> Result<Exhibit, InputError> {
              Put in → read back: {}.",
             said.join("; ")
         ),
-        html: chart.to_svg(),
+        html: chart.render(),
         csv: deviations_csv(&[points]),
         further: vec![],
         in_short: said.join("; "),
@@ -305,7 +306,7 @@ fn allan_plots() -> Result<Vec<Exhibit>, InputError> {
                 n.unit(unit),
                 said.join("; ")
             ),
-            html: chart.to_svg(),
+            html: chart.render(),
             csv: deviations_csv(&points),
             further: vec![],
             in_short: said.join("; "),

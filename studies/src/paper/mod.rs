@@ -10,13 +10,12 @@ mod recordings;
 mod spectrum;
 mod table_2;
 
-use std::fmt::Write as _;
 use std::path::Path;
 
 use input::InputError;
-use sim_host::chart::escaped;
+use maud::{Markup, html};
 use sim_host::output_file;
-use sim_host::report::begin;
+use sim_host::report::document;
 
 /// A table or a figure.
 #[derive(Clone, Debug)]
@@ -27,8 +26,8 @@ pub struct Exhibit {
     pub title: String,
     /// What the paper shows, and what is shown here.
     pub caption: String,
-    /// HTML: a picture, a table, or both.
-    html: String,
+    /// A picture, a table, or both.
+    html: Markup,
     /// The numbers, as CSV.
     csv: String,
     /// Further numbers, each with what is added to the name: `-spectrum`.
@@ -85,58 +84,64 @@ fn page(made: &Made) -> String {
     let style = "td.n,th.n{text-align:right;font-variant-numeric:tabular-nums;width:auto}\n\
          table.data{width:auto;min-width:60%}\ntable.data th{width:auto;color:#333;font-weight:600}\n\
          .pair{display:flex;gap:10px}.pair .chart{flex:1 1 0;min-width:0}\n";
-    let mut html = begin("The paper's tables and figures", style);
-    html.push_str(
-        "<header>\n<p class=\"kind\">Kestrel · the paper, made again</p>\n\
-         <h1>Modelling inertial measurement unit error parameters for an unmanned air vehicle</h1>\n\
-         <p class=\"about\">Tables and figures of Altınöz, Eken, Cönger and Can (2024), from this project's own \
-         simulation and analysis, beside what the paper prints.</p>\n\
-         <p class=\"facts\">Every number on this page is in a CSV file beside it. The same program makes the same \
-         page, to the byte.</p>\n</header>\n",
-    );
-    for exhibit in made.tables.iter().chain(&made.figures) {
-        let name = &exhibit.name;
-        let additions = std::iter::once("").chain(exhibit.further.iter().map(|f| f.0));
-        let links: Vec<String> = additions
-            .map(|addition| format!("<a href=\"{name}{addition}.csv\">{name}{addition}.csv</a>"))
-            .collect();
-        let _ = write!(
-            html,
-            "<figure id=\"{name}\">\n<h2>{}</h2>\n<figcaption>{} Numbers: {}.</figcaption>\n\
-             <div class=\"scroll\">{}</div>\n</figure>\n",
-            escaped(&exhibit.title),
-            escaped(&exhibit.caption),
-            links.join(", "),
-            exhibit.html,
-        );
+    let content = html! {
+        header {
+            p.kind { "Kestrel · the paper, made again" }
+            h1 { "Modelling inertial measurement unit error parameters for an unmanned air vehicle" }
+            p.about {
+                "Tables and figures of Altınöz, Eken, Cönger and Can (2024), from this project's own simulation and \
+                 analysis, beside what the paper prints."
+            }
+            p.facts {
+                "Every number on this page is in a CSV file beside it. The same program makes the same page, to the byte."
+            }
+        }
+        @for exhibit in made.tables.iter().chain(&made.figures) { (shown(exhibit)) }
+        @if let Some(left_out) = &made.left_out {
+            h2 { "Left out" }
+            p { (left_out) }
+        }
+        footer {
+            "Table 1 lists symbols, and figures 4 and 5 show the vehicle: there is nothing in them to compute. Equation by \
+             equation the paper is gone through in docs/paper.md."
+        }
+    };
+    document("The paper's tables and figures", style, &content)
+}
+
+fn shown(exhibit: &Exhibit) -> Markup {
+    let additions = std::iter::once("").chain(exhibit.further.iter().map(|f| f.0));
+    let files: Vec<String> = additions.map(|addition| format!("{}{addition}.csv", exhibit.name)).collect();
+    html! {
+        figure id=(exhibit.name) {
+            h2 { (exhibit.title) }
+            figcaption {
+                (exhibit.caption) " Numbers: "
+                @for (k, file) in files.iter().enumerate() {
+                    @if k > 0 { ", " }
+                    a href=(file) { (file) }
+                }
+                "."
+            }
+            div.scroll { (exhibit.html) }
+        }
     }
-    if let Some(left_out) = &made.left_out {
-        let _ = write!(html, "<h2>Left out</h2>\n<p>{}</p>\n", escaped(left_out));
-    }
-    html.push_str(
-        "<footer>Table 1 lists symbols, and figures 4 and 5 show the vehicle: there is nothing in them to compute. \
-         Equation by equation the paper is gone through in docs/paper.md.</footer>\n</main>\n</body>\n</html>\n",
-    );
-    html
 }
 
 /// A table as HTML and as CSV: a header and rows. The first column is text.
-fn tabulated(header: &[&str], rows: &[Vec<String>]) -> (String, String) {
-    let mut html = String::from("<table class=\"data\">\n<tr>");
-    for (k, cell) in header.iter().enumerate() {
-        let class = if k == 0 { "" } else { " class=\"n\"" };
-        let _ = write!(html, "<th{class}>{}</th>", escaped(cell));
-    }
-    html.push_str("</tr>\n");
-    for row in rows {
-        html.push_str("<tr>");
-        for (k, cell) in row.iter().enumerate() {
-            let class = if k == 0 { "" } else { " class=\"n\"" };
-            let _ = write!(html, "<td{class}>{}</td>", escaped(cell));
+fn tabulated(header: &[&str], rows: &[Vec<String>]) -> (Markup, String) {
+    let html = html! {
+        table.data {
+            tr {
+                @for (k, cell) in header.iter().enumerate() { th class=[(k > 0).then_some("n")] { (cell) } }
+            }
+            @for row in rows {
+                tr {
+                    @for (k, cell) in row.iter().enumerate() { td class=[(k > 0).then_some("n")] { (cell) } }
+                }
+            }
         }
-        html.push_str("</tr>\n");
-    }
-    html.push_str("</table>");
+    };
     let quoted = |cell: &str| {
         if cell.contains([',', '"']) { format!("\"{}\"", cell.replace('"', "\"\"")) } else { cell.into() }
     };

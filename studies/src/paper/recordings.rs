@@ -9,6 +9,7 @@ use super::spectrum::density;
 use super::{Exhibit, numbers, tabulated};
 use allan::{Coefficient, Point};
 use input::InputError;
+use maud::html;
 use sim_host::chart::{Chart, Line, Panel, Stroke, colour};
 use sim_host::identify::plot;
 use sim_host::log::{AccelSign, Axes, Frame, Log, LogRow};
@@ -139,7 +140,7 @@ fn exhibit(name: &str, number: usize, measured: Vec<f64>, rate_hz: f64) -> Resul
     // Two charts with one panel each, because their axes along the bottom are not of one kind.
     let log_chart = |x_title: &'static str, title: &str, unit: String, lines: Vec<Line>| {
         let description = format!("{title} of {sensor} {axis}, measured and simulated");
-        Chart::logarithmic(455.0, description, x_title, vec![Panel::new(title, unit, 220.0, lines)]).to_svg()
+        Chart::logarithmic(455.0, description, x_title, vec![Panel::new(title, unit, 220.0, lines)])
     };
     let spectrum = log_chart(
         "frequency, Hz",
@@ -189,7 +190,11 @@ fn exhibit(name: &str, number: usize, measured: Vec<f64>, rate_hz: f64) -> Resul
              the model has not.",
             plot::said(n, &fit.found[n as usize], unit)
         ),
-        html: format!("{table}\n{}\n<div class=\"pair\">{spectrum}{allan}</div>", series.to_svg()),
+        html: html! {
+            (table)
+            (series)
+            div.pair { (spectrum) (allan) }
+        },
         csv: numbers(
             "time_s,measured,simulated",
             measured.iter().zip(&simulated).enumerate().map(|(k, (a, b))| vec![k as f64 / rate_hz, *a, *b]),

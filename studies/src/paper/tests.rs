@@ -3,7 +3,7 @@ use super::*;
 #[test]
 fn a_table_is_escaped_in_html_and_quoted_in_csv() {
     let (html, csv) = tabulated(&["a", "b"], &[vec!["x, <y>".into(), "1".into()]]);
-    assert!(html.contains("<td>x, &lt;y&gt;</td><td class=\"n\">1</td>"));
+    assert!(html.into_string().contains("<td>x, &lt;y&gt;</td><td class=\"n\">1</td>"));
     assert_eq!(csv, "a,b\n\"x, <y>\",1\n");
 }
 
