@@ -1,19 +1,13 @@
-//! `FlightController::step` with any configuration and any input: what `flight-core/tests/any_input` flies at random,
+//! `FlightController::step` with any configuration and any input: what `tests/support/tests/any_input` flies at random,
 //! flown by what finds new paths.
 //!
 //! No NaN and no infinity leaves, or stays inside; no motor turns without a permit; and the rest that
-//! `any_input/promise.rs` checks in every step.
+//! `test_support::promise` checks in every step.
 #![no_main]
 
-#[path = "../../flight-core/tests/any_input/promise.rs"]
-mod promise;
-#[allow(dead_code)] // lists for a test that counts them through
-#[path = "../../flight-core/tests/any_input/script.rs"]
-mod script;
-
 use libfuzzer_sys::fuzz_target;
-use promise::Watched;
-use script::{Bytes, Script};
+use test_support::promise::Watched;
+use test_support::script::{Bytes, Script};
 
 fuzz_target!(|bytes: &[u8]| {
     let script = Script::read(&mut Bytes::new(bytes));

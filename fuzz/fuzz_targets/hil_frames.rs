@@ -4,20 +4,13 @@
 //! configuration from the link keeps its promises.
 #![no_main]
 
-#[allow(dead_code)] // the flight of a script is flown here, not its reading
-#[path = "../../flight-core/tests/any_input/promise.rs"]
-mod promise;
-#[allow(dead_code)]
-#[path = "../../flight-core/tests/any_input/script.rs"]
-mod script;
-
 use hil_link::{Decoder, MAX_FRAME, Packet, ToBoard, ToHost, encode};
 use libfuzzer_sys::fuzz_target;
 use serde::Serialize;
 use serde::ser::{SerializeTuple as _, Serializer};
 
-use promise::Watched;
-use script::{Bytes, Script};
+use test_support::promise::Watched;
+use test_support::script::{Bytes, Script};
 
 /// Bytes that postcard writes as they are.
 struct Raw<'a>(&'a [u8]);

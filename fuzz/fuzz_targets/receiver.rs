@@ -4,14 +4,11 @@
 //! rise. The search for the protocol, which the firmware does, runs along.
 #![no_main]
 
-#[allow(dead_code)] // the other end of the wire, of which only the frames are needed here
-#[path = "../../receiver/tests/decoding/wire.rs"]
-mod wire;
-
 use flight_core::rc::ChannelMap;
 use libfuzzer_sys::fuzz_target;
 use receiver::search::{Received, Search};
 use receiver::{Counts, Frame, Protocol, Receiver};
+use test_support::wire;
 
 /// Bytes behind which no frame looks back.
 const LONGEST: usize = 256;

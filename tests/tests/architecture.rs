@@ -30,10 +30,7 @@ fn manifest(folder: &str) -> toml::Table {
 fn crates_folders() -> Vec<String> {
     let workspace = manifest(".");
     let members = workspace["workspace"]["members"].as_array().unwrap().iter();
-    members
-        .map(|member| member.as_str().unwrap().to_owned())
-        .chain(["tests/fixed-input".to_owned()])
-        .collect()
+    members.map(|member| member.as_str().unwrap().to_owned()).collect()
 }
 
 /// Every crate of the workspace, with the crates of the workspace that its manifest names.

@@ -1,10 +1,6 @@
 //! What the firmware takes from crates, where it needs a scene, a receiver or a record: the extension of the microsecond
 //! counter, the search for the receiver's protocol, and what is taken of a stored configuration.
 
-#[allow(dead_code)] // the other end of the receiver's wire, of which only the frames are needed here
-#[path = "../../receiver/tests/decoding/wire.rs"]
-mod wire;
-
 use flight_core::calibration::Calibration;
 use flight_core::geometry::{Mat3, vec3};
 use flight_core::rc::ChannelMap;
@@ -17,6 +13,7 @@ use sim_host::scene::{BUILT_IN, Scene};
 use stored_config::board::{Refused, read_for_board};
 use stored_config::{DecodeError, MAX_RECORD, encode};
 use tasks::clock::Clock;
+use test_support::wire;
 
 #[test]
 fn the_clock_goes_on_where_its_counter_wraps() {

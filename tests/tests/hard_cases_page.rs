@@ -70,7 +70,7 @@ fn every_case_names_tests_and_protections_that_there_are() {
 #[test]
 fn every_protection_can_still_be_taken_out_and_names_a_test_that_there_is() {
     // What a patch names is the beginning of a test's name, or of its module's.
-    let sources: String = ["tests/tests", "flight-core", "sim-host/src"]
+    let sources: String = ["tests/tests", "tests/support", "flight-core", "sim-host/src"]
         .map(|folder| sources(&workspace().join(folder)))
         .concat();
     for path in patches() {

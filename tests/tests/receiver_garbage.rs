@@ -1,18 +1,12 @@
 //! What comes out of a receiver's port when garbage goes in, from the bytes to the motors: nothing arms, nothing
 //! panics, and the pilot is heard again within the time that is stated.
 
-#[path = "still_vehicle/mod.rs"]
-mod still_vehicle;
-#[path = "../../receiver/tests/decoding/wire.rs"]
-#[allow(dead_code)] // written for the decoders' own tests
-mod wire;
-
 use flight_core::ArmState;
 use flight_core::rc::link::RC_BACK_US;
 use flight_core::rc::{CENTRE_TICKS, ChannelMap, HIGH_TICKS, LOW_TICKS};
 use receiver::{Protocol, RECOVERY_FRAMES, Receiver};
-use still_vehicle::{StillVehicle, config};
-use wire::{BOTH, Random, received_us};
+use test_support::still_vehicle::{StillVehicle, config};
+use test_support::wire::{self, BOTH, Random, received_us};
 
 /// Frames of good senders are this far apart, µs.
 const FRAME_US: u64 = 14_000;
@@ -128,7 +122,7 @@ fn frames_that_are_right_but_for_their_contents_arm_nothing() {
         let mut port = Port::new(protocol);
         let mut random = Random(5);
         for _ in 0..43_000 {
-            let channels = std::array::from_fn(|_| (random.next() % 2_048) as u16);
+            let channels = std::array::from_fn(|_| (random.word() % 2_048) as u16);
             port.send(&wire::channels(protocol, &channels), received_us(protocol, 0));
             port.wait(10_000);
         }
@@ -148,9 +142,9 @@ fn broken_frames_between_good_ones_do_not_take_the_link_away() {
         for n in 0..3_000 {
             let mut frame = good.clone();
             match n % 3 {
-                0 => frame.truncate(1 + random.next() as usize % (good.len() - 1)),
+                0 => frame.truncate(1 + random.word() as usize % (good.len() - 1)),
                 1 if protocol == Protocol::Crsf => {
-                    let bit = random.next() as usize % (8 * good.len());
+                    let bit = random.word() as usize % (8 * good.len());
                     frame[bit / 8] ^= 1 << (bit % 8);
                 }
                 // SBUS has no checksum: a flipped bit of a channel is a stick that twitches for a frame.

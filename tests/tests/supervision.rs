@@ -1,13 +1,11 @@
 //! The flight controller as a whole, lying level and still: what it takes to turn a motor, and what stops it.
 
-mod still_vehicle;
-
 use flight_core::arming::{Cause, Event};
 use flight_core::rc::ArmBy;
 use flight_core::rc::{HIGH_TICKS, LOW_TICKS};
 use flight_core::sample::{BenchCommand, Health, LinkStatus};
 use flight_core::{ArmState, Config};
-use still_vehicle::{ARM, CENTRED, DISARM, StillVehicle, config};
+use test_support::still_vehicle::{ARM, CENTRED, DISARM, StillVehicle, config};
 
 use ArmState::*;
 

@@ -70,7 +70,7 @@ pub fn listening(protocol: Protocol) -> Receiver {
 pub struct Random(pub u64);
 
 impl Random {
-    pub fn next(&mut self) -> u64 {
+    pub fn word(&mut self) -> u64 {
         self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
         let z = (self.0 ^ self.0 >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
         let z = (z ^ z >> 27).wrapping_mul(0x94d0_49bb_1331_11eb);
@@ -78,11 +78,11 @@ impl Random {
     }
 
     pub fn below(&mut self, end: u64) -> u64 {
-        self.next() % end
+        self.word() % end
     }
 
     pub fn byte(&mut self) -> u8 {
-        self.next() as u8
+        self.word() as u8
     }
 
     pub fn channels(&mut self) -> [u16; 16] {

@@ -4,4 +4,3 @@ mod broken;
 mod garbage;
 mod timing;
 mod whole;
-mod wire;

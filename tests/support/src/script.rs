@@ -10,7 +10,7 @@ use flight_core::rc::{ArmBy, CENTRE_TICKS, HIGH_TICKS, LOW_TICKS};
 use flight_core::sample::{Battery, BenchCommand, Health, ImuSample, Input, LinkStatus, MagSample, RcFrame};
 use flight_core::{Config, Params, STANDARD_GRAVITY};
 
-use super::promise::Watched;
+use crate::promise::Watched;
 
 /// What a number may be by mistake.
 pub const SPECIAL: [f32; 14] = [

@@ -2,7 +2,7 @@
 
 use receiver::{Protocol, RECOVERY_FRAMES, Receiver};
 
-use crate::wire::{self, BOTH, Random, listening, received_us, send};
+use test_support::wire::{self, BOTH, Random, listening, received_us, send};
 
 /// A broken frame, and 7 ms later a good one, which must arrive. Returns whether the broken one came through,
 /// and with which channels.

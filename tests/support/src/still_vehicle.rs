@@ -1,5 +1,4 @@
 //! A vehicle that lies on the ground, and whatever is to go wrong with it.
-#![allow(dead_code)] // not every test uses all of it
 
 use flight_core::arming::Event;
 use flight_core::calibration::Calibration;

@@ -2,7 +2,7 @@
 
 use receiver::{Frame, GAP_US, Protocol, Receiver};
 
-use crate::wire::{self, BOTH, Random, received_us, send};
+use test_support::wire::{self, BOTH, Random, received_us, send};
 
 /// Two seconds of a receiver that sends every `period_us`, with link statistics behind every fifth frame.
 fn stream(protocol: Protocol, period_us: u64, random: &mut Random) -> Vec<(u8, u64)> {

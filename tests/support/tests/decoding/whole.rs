@@ -2,7 +2,7 @@
 
 use receiver::{Counts, Frame, Protocol};
 
-use crate::wire::{self, BOTH, listening, send};
+use test_support::wire::{self, BOTH, listening, send};
 
 #[test]
 fn every_value_of_every_channel() {

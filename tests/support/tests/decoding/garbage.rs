@@ -2,7 +2,7 @@
 
 use receiver::{Frame, Protocol, Receiver};
 
-use crate::wire::{self, BOTH, Random, received_us};
+use test_support::wire::{self, BOTH, Random, received_us};
 
 const BYTES: u64 = 1_000_000;
 

@@ -1,17 +1,13 @@
 //! No NaN and no infinity leaves flight-core, and no motor turns without a permit, whatever comes in.
 
-mod promise;
-mod script;
-
 use std::collections::BTreeSet;
 use std::sync::Mutex;
 
 use flight_core::{ArmState, Config, FlightController, Params};
 use proptest::prelude::*;
 use proptest::test_runner::TestRunner;
-
-use promise::Watched;
-use script::{Bytes, Script};
+use test_support::promise::Watched;
+use test_support::script::{self, Bytes, Script};
 
 /// The states that a script went through; `None` for a configuration that was refused.
 fn fly(bytes: &[u8]) -> Option<BTreeSet<&'static str>> {
