@@ -12,9 +12,6 @@ use vehicle::Vehicle;
 
 const ROOT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/..");
 
-/// The vehicle of an image that is built without saying which.
-const DEFAULT_VEHICLE: &str = "os4";
-
 fn main() {
     println!("cargo::rustc-link-search={ROOT}");
     println!("cargo::rerun-if-changed={ROOT}/memory.x");
@@ -67,7 +64,7 @@ fn write(name: &str, bytes: impl AsRef<[u8]>) -> Result<(), String> {
 /// Reads the vehicle's file, and writes its configuration as a record, which the board decodes at start as it does a stored
 /// one. A vehicle that the flight controller does not take fails here.
 fn put_vehicle_into_image() -> Result<(), String> {
-    let (place, name) = named("KESTREL_VEHICLE", DEFAULT_VEHICLE);
+    let (place, name) = named("KESTREL_VEHICLE", vehicle::DEFAULT);
     let vehicle = Vehicle::load(&place).map_err(|error| error.to_string())?;
     // What the board has is put in at start.
     let params = vehicle.mounted(vehicle.flight_params(&Params::default()));

@@ -29,6 +29,8 @@ pub struct Imu {
     pub miso: String,
     pub mosi: String,
     pub select: String,
+    #[serde(default)]
+    pub deselect: Vec<String>,
     pub ready: String,
     pub axes: [String; 3],
 }

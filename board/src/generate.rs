@@ -89,6 +89,8 @@ impl Board {
         writeln!(out, "    receive: {},", stream(receive))?;
         writeln!(out, "    send: {},", stream(send))?;
         writeln!(out, "    select: {},\n}};", line(imu.select))?;
+        let others: Vec<String> = imu.deselect.iter().map(|&pin| line(pin)).collect();
+        writeln!(out, "pub const IMU_DESELECT: [Pin; {}] = [{}];", others.len(), others.join(", "))?;
         writeln!(out, "pub const COMPASS: bus::Wiring = bus::Wiring {{")?;
         writeln!(out, "    i2c: pac::{i2c}::PTR,")?;
         writeln!(out, "    scl: {},", line(self.compass.scl.pin))?;
@@ -212,6 +214,7 @@ impl Board {
         let all = pins
             .map(|(_, pin)| pin)
             .into_iter()
+            .chain(imu.deselect.iter().copied())
             .chain(self.light.map(|light| light.pin))
             .chain(self.motors.iter().map(|motor| motor.connection.pin));
         for letter in ports(all) {

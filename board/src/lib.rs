@@ -97,6 +97,8 @@ pub struct Imu {
     pub bus: [Connection; 3],
     /// Chip select, low when selected.
     pub select: Pin,
+    /// Chip selects of other chips on its bus, which are never selected.
+    pub deselect: Vec<Pin>,
     /// Its data-ready line, high.
     pub ready: Pin,
     /// DMA that receives and that sends.
@@ -270,6 +272,8 @@ fn build(name: &str, file: file::File) -> Result<Board, InputError> {
         pins.connect("imu.mosi", &file.imu.mosi, spi, "MOSI")?,
     ];
     let select = pins.take("imu.select", &file.imu.select)?;
+    let others = file.imu.deselect.iter();
+    let deselect = others.map(|name| pins.take("imu.deselect", name)).collect::<Result<_, _>>()?;
     let ready = pins.take("imu.ready", &file.imu.ready)?;
     let axes = Axes::parse("imu.axes", &file.imu.axes)?;
 
@@ -316,7 +320,7 @@ fn build(name: &str, file: file::File) -> Result<Board, InputError> {
         title: file.title,
         sources: file.sources,
         crystal_mhz: file.crystal_mhz,
-        imu: Imu { bus, select, ready, streams: [streams[0], streams[1]], axes },
+        imu: Imu { bus, select, deselect, ready, streams: [streams[0], streams[1]], axes },
         compass,
         receiver,
         battery,

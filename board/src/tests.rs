@@ -50,7 +50,7 @@ fn pins_are_those_of_ardupilots_pin_lists() {
     for (name, pins, ratio) in [
         ("speedybee-f405-v4", "PA5 PA6 PA7 PA4 PB8 PB9 PA3 PC0 PC13", 11.0),
         ("speedybee-f405-mini", "PA5 PA6 PA7 PA4 PB8 PB9 PA3 PC0 PC13", 11.0),
-        ("matek-f405-te", "PA5 PB4 PA7 PC14 PB8 PB7 PA3 PC4", 21.0),
+        ("matek-f405-te", "PA5 PB4 PA7 PC14 PB8 PB7 PA3 PC4 PB12", 21.0),
     ] {
         let board = Board::load(name).unwrap();
         let bus = board.imu.bus.iter().map(|connection| connection.pin);
@@ -61,7 +61,7 @@ fn pins_are_those_of_ardupilots_pin_lists() {
             board.receiver.pin,
             board.battery.pin,
         ];
-        let all = bus.chain(rest).chain(board.light.map(|light| light.pin));
+        let all = bus.chain(rest).chain(board.light.map(|light| light.pin)).chain(board.imu.deselect);
         let all: Vec<String> = all.map(|pin| pin.to_string()).collect();
         assert_eq!(all.join(" "), pins);
         assert_eq!(board.battery.ratio, ratio);

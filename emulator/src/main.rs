@@ -87,7 +87,7 @@ fn run(arguments: &Arguments) -> Result<Answer, InputError> {
     let read = arguments.image.as_deref().map(Firmware::read).transpose()?;
     let wiring = Arc::new(Wiring::new(board_of(named, read.as_ref())?, &scene.design));
     wiring.check(&scene)?;
-    let firmware = read.map_or_else(|| build(named), Ok)?;
+    let firmware = read.map_or_else(|| build(named, &scene.vehicle_place), Ok)?;
     let log = arguments.log.as_ref().map(|path| FlightLog::create(path, &scene)).transpose()?;
     let settings = Settings {
         firmware: &firmware,
@@ -134,13 +134,20 @@ fn board_of(named: Option<&str>, image: Option<&Firmware>) -> Result<Board, Inpu
     Ok(board)
 }
 
-/// Builds the image for a board.
-fn build(named: Option<&str>) -> Result<Firmware, InputError> {
-    let Some(name) = named else { return Firmware::build(&[]) };
+/// Builds the image for a board and a vehicle, as `cargo flash-fw` does with the variables that name them.
+fn build(board: Option<&str>, vehicle: &str) -> Result<Firmware, InputError> {
     // A path is from where the command was started.
-    let path = name.ends_with(".toml").then(|| std::path::absolute(name).ok()).flatten();
-    let value = path.map_or(name.to_owned(), |path| path.display().to_string());
-    Firmware::build(&[("KESTREL_BOARD", &value)])
+    let place = |name: &str| match std::path::absolute(name) {
+        Ok(path) if name.ends_with(".toml") => path.display().to_string(),
+        _ => name.to_owned(),
+    };
+    let vehicle = (vehicle != vehicle::DEFAULT).then_some(vehicle);
+    let named = [("KESTREL_BOARD", board), ("KESTREL_VEHICLE", vehicle)];
+    let named: Vec<(&str, String)> =
+        named.into_iter().filter_map(|(variable, name)| Some((variable, place(name?)))).collect();
+    let variables: Vec<(&str, &str)> =
+        named.iter().map(|(variable, value)| (*variable, value.as_str())).collect();
+    Firmware::build(&variables)
 }
 
 /// What is not as it must be.

@@ -10,7 +10,7 @@ use rigless::mcu::Mcu as _;
 use rigless::soc::stm32f427::generated::{adc1, c_adc, dbg, dma2, gpioa, i2c3, spi1, usart6};
 use rigless::soc::stm32f427::peripherals::ADC_COMMON;
 
-use crate::board::{Connection, Drive, Machine, Wiring};
+use crate::board::{Connection, Drive, Machine, Wire, Wiring};
 use crate::chip::stm32f405::PORTS;
 
 /// Clock of APB1, at which I2C1 and USART2 run, and of APB2, Hz: 168 MHz over 4 and over 2.
@@ -232,6 +232,15 @@ fn imu_bus(machine: &Machine, wiring: &Wiring) -> Vec<String> {
     }
     if spi1::cr1::CPOL.is_set(control) != spi1::cr1::CPHA.is_set(control) {
         broken.push(format!("{instance} is neither in mode 0 nor in mode 3"));
+    }
+    for &pin in &wiring.board.imu.deselect {
+        let wire = Wire::from(pin);
+        let (_, port) = machine.part.port(wire.port);
+        let output = port.get(gpioa::Register::Moder) >> (2 * wire.pin) & 3 == 1;
+        let high = port.get(gpioa::Register::Odr) >> wire.pin & 1 == 1;
+        if !output || !high {
+            broken.push(format!("{pin} selects another chip on {instance}, and is not held high"));
+        }
     }
     broken
 }

@@ -53,7 +53,7 @@ fn cases() -> Vec<Case> {
             "an unknown effect",
             "[effects.gyro.white_noise]",
             "[effects.gyro.whitenoise]",
-            "bad.toml:26: unknown field `whitenoise`, expected one of `vibration`, `bandwidth`, `g_sensitivity`, \
+            "bad.toml:24: unknown field `whitenoise`, expected one of `vibration`, `bandwidth`, `g_sensitivity`, \
              `misalignment`, `scale_factor`, `temperature`, `constant_bias`, `turn_on_bias`, `bias_step`, \
              `rate_ramp`, `rate_random_walk`, `bias_instability`, `white_noise`, `saturation`, `quantization` (did you mean `white_noise`?)",
         ),
@@ -72,14 +72,14 @@ fn cases() -> Vec<Case> {
         ),
         scene(
             "a cutoff above Nyquist",
-            "prefilter_hz = 30.0",
-            "prefilter_hz = 50.0",
+            "[flight]",
+            "[flight]\nprefilter_hz = 50.0",
             "bad.toml: flight.prefilter_hz = 50: must be above 0.5 and below 49.95 Hz, just below half the magnetometer's rate",
         ),
         scene(
             "an unknown estimator",
-            "estimator = \"flight\"",
-            "estimator = \"fligth\"",
+            "[flight]",
+            "[flight]\nestimator = \"fligth\"",
             "bad.toml: flight.estimator = fligth: must be one of paper, paper-literal, flight, robust (did you mean `flight`?)",
         ),
         scene(
@@ -217,8 +217,7 @@ fn many_runs_are_the_single_flights_in_order() {
 #[test]
 fn a_crash_exits_with_1() {
     let directory = tempfile::tempdir().unwrap();
-    let steps =
-        include_str!("../scenes/steps.toml").replace("estimator = \"flight\"", "estimator = \"paper\"");
+    let steps = include_str!("../scenes/steps.toml").replace("[flight]", "[flight]\nestimator = \"paper\"");
     std::fs::write(directory.path().join("tips.toml"), steps).unwrap();
     let output = sim_host(&["fly", "tips.toml", "--json"], directory.path());
     assert_eq!(output.status.code(), Some(1), "{output:?}");

@@ -148,7 +148,7 @@ fn hover() -> Result<Chart, Box<dyn Error>> {
 fn paper_cannot_fly() -> Result<Chart, Box<dyn Error>> {
     let steps = BUILT_IN.iter().find(|scene| scene.name == "steps").ok_or("no scene named steps")?;
     let flown = |estimator: &str| {
-        let text = steps.text.replace("estimator = \"flight\"", &format!("estimator = \"{estimator}\""));
+        let text = steps.text.replace("[flight]\n", &format!("[flight]\nestimator = \"{estimator}\"\n"));
         Scene::parse(steps.name, &text).map(|scene| fly(&scene))
     };
     let (_, good) = flown("flight")?;

@@ -1,6 +1,6 @@
-//! `docs/paper.md` against the sources: what it names exists, where it says.
+//! `docs/paper.md` against the sources: what it names exists, where it says. And figures of the firmware on any page.
 //!
-//! A paragraph that begins with **Implemented.** or **Tested by** is a list of names in backticks, each followed,
+//! In `docs/paper.md` a paragraph that begins with **Implemented.** or **Tested by** is a list of names in backticks, each followed,
 //! after it or after more of them, by a link to the file that has them.
 
 use std::collections::BTreeSet;
@@ -154,6 +154,68 @@ fn links_lead_somewhere() {
                 Some(anchor) => assert!(anchors.contains(anchor), "no heading for #{anchor}"),
                 None => assert!(workspace().join("docs").join(target).exists(), "no file {target}"),
             }
+        }
+    }
+}
+
+/// A count with a comma before every three digits.
+fn grouped(count: i64) -> String {
+    if count < 1_000 { count.to_string() } else { format!("{},{:03}", grouped(count / 1_000), count % 1_000) }
+}
+
+/// Figures of the firmware on the pages are those that were last measured: `tests/image/budgets.toml`, which the tests of
+/// the images hold.
+#[test]
+fn figures_of_the_firmware_are_those_of_the_budgets() {
+    let budgets: toml::Table = read(&workspace().join("tests/image/budgets.toml")).parse().unwrap();
+    let last = |kind: &str, name: &str| budgets[kind][name][1].as_integer().unwrap();
+    let instructions = |name: &str| grouped(last("instructions", name));
+    for (page, places) in [
+        (
+            "README.md",
+            &[
+                "9-axis update of `paper` takes {estimator paper 9-axis} instructions",
+                "ESCs' pulses {chain of paper} with it, {chain of flight} with `flight`",
+                "the whole firmware takes {sample to motors} instructions",
+                "takes {KiB flash} KiB of flash and {KiB static RAM} KiB of static RAM",
+            ][..],
+        ),
+        (
+            "docs/timing.md",
+            &[
+                "| **{sample to motors}** |",
+                "instead of four products | 550 more: {4 DShot frames} for 60 |",
+                "a receiver frame's sticks, 250 and {sticks} instructions",
+                "calibrated | {calibration of 3 sensors} | {calibration of 3 sensors} |",
+                "| 9 prefilters | {9 prefilters} | {9 prefilters} |",
+                "| attitude from 9 axes | {estimator paper 9-axis} | {estimator flight 9-axis} |",
+                "| control: angle and rate loops | {control} | {control} |",
+                "| mixer, ESC | {mixer and ESC} | {mixer and ESC} |",
+                "| **in sum** | **{chain of paper}** | **{chain of flight}** |",
+            ],
+        ),
+        (
+            "docs/estimators.md",
+            &[
+                "| bench, stand, near hover | {estimator paper 9-axis} |",
+                "| comparison with the paper | {estimator paper 9-axis} |",
+                "what the scenes fly | {estimator flight 9-axis} |",
+                "that drifts; logs | {estimator robust 9-axis} |",
+            ],
+        ),
+        ("docs/accuracy.md", &["sensor to motors, would go from {sample to motors} to"]),
+    ] {
+        let text = read(&workspace().join(page)).split_whitespace().collect::<Vec<_>>().join(" ");
+        for place in places {
+            let mut parts = place.split(['{', '}']).enumerate();
+            let expected: String = parts.by_ref().fold(String::new(), |text, (k, part)| match part {
+                part if k % 2 == 0 => text + part,
+                part => match part.strip_prefix("KiB ") {
+                    Some(name) => text + &grouped((last("bytes", name) as f64 / 1024.0).round() as i64),
+                    None => text + &instructions(part),
+                },
+            });
+            assert!(text.contains(&expected), "{page} must say: {expected}");
         }
     }
 }

@@ -1,13 +1,15 @@
 //! The tables and keys of a vehicle file, with their units in the keys.
 
+use flight_core::Params;
 use flight_core::control::ControlParams;
 use flight_core::estimator::EstimatorParams;
 use flight_core::geometry::{Vec3, vec3};
 use flight_core::mixer::Spin;
+use flight_core::prefilter::MAX_RATE_PER_CUTOFF;
 use flight_core::rc::{ArmBy, ChannelMap};
 use input::InputError;
 use input::axes::Axes;
-use input::check::{unknown, within};
+use input::check::{between, unknown, within};
 use serde::Deserialize;
 
 use crate::tune::{self, MARGIN_DEG};
@@ -287,7 +289,11 @@ impl File {
             false,
         );
 
-        let prefilter_hz = given("filters.prefilter_hz", self.filters.prefilter_hz, 1.0, 400.0, "Hz")?;
+        let prefilter_hz = self.filters.prefilter_hz;
+        if let Some(cutoff_hz) = prefilter_hz {
+            let (least_hz, most_hz) = prefilter_range_hz();
+            between("filters.prefilter_hz", cutoff_hz, least_hz, most_hz, PREFILTER_ALLOWED)?;
+        }
         let estimator = estimator("filters.estimator", &self.filters.estimator)?;
         let control = self.control(&params, hover, prefilter_hz, &mut notes)?;
         let volts = |key: &str, value: Option<f64>, usual: f64| {
@@ -440,6 +446,16 @@ impl File {
         control.max_integral_rad_s2 = single(gains.max_integral_rad_s2);
         Ok(control)
     }
+}
+
+/// What a prefilter's cutoff may be, for errors: of the sensors behind one the magnetometer is the slowest.
+pub const PREFILTER_ALLOWED: &str = "Hz, just below half the magnetometer's rate";
+
+/// Least and most of a prefilter's cutoff, Hz: the least for the fastest sensor, the most for the slowest one.
+pub fn prefilter_range_hz() -> (f64, f64) {
+    let Params { imu_rate_hz, mag_rate_hz, .. } = Params::default();
+    let least_of = |rate_hz: f32| f64::from(rate_hz) / f64::from(MAX_RATE_PER_CUTOFF);
+    (least_of(imu_rate_hz), f64::from(mag_rate_hz) / 2.0 - least_of(mag_rate_hz))
 }
 
 /// An estimator by its name, which stands in `field`.

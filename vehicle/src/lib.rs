@@ -29,7 +29,7 @@ use input::axes::Axes;
 use input::layers::{Layers, ReadText, built_in_or_file, text_of};
 use toml::de::DeTable;
 
-pub use file::estimator;
+pub use file::{PREFILTER_ALLOWED, estimator, prefilter_range_hz};
 pub use plant::{Axis, Loop, Margin, Plant};
 pub use tune::{MARGIN_DEG, Tuned, authority_rad_s2, tune};
 
@@ -44,6 +44,9 @@ macro_rules! vehicles {
 
 /// The built-in vehicles: name and text.
 pub const BUILT_IN: &[(&str, &str)] = vehicles!["os4", "five-inch", "ten-inch", "hummingbird", "crazyflie"];
+
+/// The vehicle of whoever names none.
+pub const DEFAULT: &str = "os4";
 
 /// What the vehicle is made of (symbols of the paper's table 1).
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -152,6 +152,11 @@ fn mistakes_are_named() {
         ),
         ("spin = \"props-out\"", "spin = \"props\"", "unknown variant `props`"),
         ("cells = 3", "cells = 0", "altered.toml: cells = 0: must be from 1 to 24 cells"),
+        (
+            "[gains]",
+            "[filters]\nprefilter_hz = 80.0\n[gains]",
+            "filters.prefilter_hz = 80: must be above 0.5 and below 49.95 Hz, just below half the magnetometer's rate",
+        ),
     ] {
         let error = altered(line, by).unwrap_err().to_string();
         assert!(error.contains(said), "{error}\n{said}");

@@ -209,6 +209,11 @@ pub fn init(mut core: cortex_m::Peripherals, device: pac::Peripherals) -> Board 
         defmt::warn!("the brown-out reset is not set");
     }
 
+    // Other chips on the sensor's bus would answer, too, if their selects floated.
+    for select in &wiring::IMU_DESELECT {
+        select.set_high();
+        select.make_output();
+    }
     let pins = (
         Some(parts.imu_sck.into_alternate().speed(Speed::High)),
         Some(parts.imu_miso.into_alternate()),

@@ -16,6 +16,9 @@ use super::{Answer, ConfigArguments, load};
 const ADDRESS: u32 = 0x0800_4000;
 const CHIP: &str = "STM32F405RGTx";
 
+/// Ends of the names of effects that a calibration takes out.
+const TAKEN_OUT: [&str; 5] = ["bias", "scale_factor", "misalignment", "hard_iron", "soft_iron"];
+
 pub fn run(arguments: &ConfigArguments) -> Result<Answer, InputError> {
     let scene = load(&arguments.scene, arguments.vehicle.as_deref(), None, None)?;
     spare(&[Path::new(&arguments.scene)], &[("--out", Some(&arguments.out))])?;
@@ -26,11 +29,24 @@ pub fn run(arguments: &ConfigArguments) -> Result<Answer, InputError> {
 
     let file = arguments.out.display();
     let Config { params, calibration } = &scene.config;
+    // Errors that only a calibration takes out: one of a scene that simulates them is that of the simulated sensors.
+    let simulated: Vec<String> = scene
+        .effects()
+        .into_iter()
+        .filter(|name| TAKEN_OUT.iter().any(|taken_out| name.ends_with(taken_out)))
+        .map(|name| name.to_string())
+        .collect();
     let calibration = match calibration {
-        Some(calibration) if *calibration == Calibration::NONE => "none measured: the datasheets' figures",
-        Some(_) => "measured",
-        None => "missing: the board refuses to arm",
+        Some(calibration) if *calibration == Calibration::NONE => {
+            "none measured: the datasheets' figures".into()
+        }
+        Some(_) if !simulated.is_empty() => {
+            format!("of the scene's SIMULATED sensors ({}), not of yours", simulated.join(", "))
+        }
+        Some(_) => "measured".to_owned(),
+        None => "missing: the board refuses to arm".into(),
     };
+    let declination_deg = f64::from(params.estimator.declination_rad).to_degrees();
     let stuck_check = match (params.stuck_check.gyro, params.stuck_check.accel) {
         (true, true) => "gyroscope and accelerometer",
         (true, false) => "gyroscope only",
@@ -41,12 +57,15 @@ pub fn run(arguments: &ConfigArguments) -> Result<Answer, InputError> {
         format!("probe-rs download --binary-format bin --base-address {ADDRESS:#010x} --chip {CHIP} {file}");
     let text = format!(
         "{}: configuration of the flight controller, {} bytes, version {VERSION}: {file}\n\n  \
+         vehicle                  {}\n  \
+         declination              {declination_deg:.3}° east\n  \
          inertial samples         {} Hz\n  \
          calibration              {calibration}\n  \
          stuck sensors looked for {stuck_check}\n\n\
          The flight board reads it at start from {ADDRESS:#010x}:\n  {command}",
         scene.name,
         record.len(),
+        scene.vehicle_place,
         params.imu_rate_hz,
     );
     Ok(Answer {
@@ -55,6 +74,8 @@ pub fn run(arguments: &ConfigArguments) -> Result<Answer, InputError> {
             "file": file.to_string(),
             "bytes": record.len(),
             "version": VERSION,
+            "vehicle": scene.vehicle_place,
+            "declination_deg": declination_deg,
             "address": ADDRESS,
             "calibration": calibration,
             "stuck_check": stuck_check,

@@ -21,7 +21,6 @@ use flight_core::config::{Config, Params};
 use flight_core::control::ControlParams;
 use flight_core::estimator::EstimatorParams;
 use flight_core::geometry::{Mat3, Vec3, vec3};
-use flight_core::prefilter::MAX_RATE_PER_CUTOFF;
 use flight_core::sample::RcFrame;
 
 use crate::dynamics::{Ground, Mount, VehicleParams};
@@ -116,6 +115,8 @@ pub struct Scene {
     pub vehicle: VehicleParams,
     /// The vehicle of the file, with what the scene alters.
     pub design: Vehicle,
+    /// Where `design` is from: the name of a built-in vehicle, or the path of a file.
+    pub vehicle_place: String,
     /// Whether it stands on a ball joint.
     pub ball_joint: bool,
     /// Whether a tilt above 90° is meant.
@@ -240,7 +241,10 @@ impl Scene {
         }
         let text_hash = layers.hash();
         let file: file::SceneFile = layers.read(table)?;
-        Self::build(name, file, design, &preset, text_hash).map_err(|error| error.file(name))
+        let is_built_in = vehicle::BUILT_IN.iter().any(|(built_in, _)| *built_in == vehicle_name);
+        let vehicle_place = if is_built_in { vehicle_name } else { vehicle_layer };
+        let scene = Self::build(name, file, design, &preset, text_hash).map_err(|error| error.file(name))?;
+        Ok(Self { vehicle_place, ..scene })
     }
 
     fn build(
@@ -271,6 +275,7 @@ impl Scene {
             seed: scene.seed,
             vehicle,
             design,
+            vehicle_place: String::new(),
             ball_joint,
             aerobatic: scene.aerobatic,
             pilot,
@@ -506,11 +511,8 @@ impl file::Flight {
             Some(file::Cutoff::None) => None,
         };
         if let Some(cutoff_hz) = prefilter_hz {
-            // The fastest sensor behind a prefilter and the slowest one.
-            let allowed = "Hz, just below half the magnetometer's rate";
-            let least_of = |rate_hz: u32| f64::from(rate_hz) / f64::from(MAX_RATE_PER_CUTOFF);
-            let most_hz = f64::from(MAG_RATE_HZ) / 2.0 - least_of(MAG_RATE_HZ);
-            check::between("flight.prefilter_hz", cutoff_hz, least_of(DEFAULT_RATE_HZ), most_hz, allowed)?;
+            let (least_hz, most_hz) = vehicle::prefilter_range_hz();
+            check::between("flight.prefilter_hz", cutoff_hz, least_hz, most_hz, vehicle::PREFILTER_ALLOWED)?;
         }
         let declination_rad = match self.declination_deg {
             file::Declination::Model => declination_rad(field_ut),

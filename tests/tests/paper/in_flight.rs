@@ -127,7 +127,7 @@ fn altered(name: &str, changes: &[(&str, &str)]) -> Scene {
     Scene::parse(name, &text).unwrap_or_else(|error| panic!("{error}"))
 }
 
-const PAPER: (&str, &str) = ("estimator = \"flight\"", "estimator = \"paper\"");
+const PAPER: (&str, &str) = ("[flight]\n", "[flight]\nestimator = \"paper\"\n");
 const NO_DRAG: (&str, &str) = ("[effects.vehicle.linear_drag]\n", "");
 /// The first side of the first doublet goes on for 2 s, and the second comes after it.
 const HELD_2_S: [(&str, &str); 2] =
