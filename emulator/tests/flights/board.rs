@@ -43,6 +43,18 @@ fn every_sensor_comes_at_its_rate() {
         // 11.1 V behind a divider of 11, in counts of 0.8 mV.
         assert!((11_080..=11_120).contains(&value(line, "battery")), "{line:?}");
     }
+
+    // The software tasks of a priority share a handler: a task that has moved to another shows in the runs of both.
+    let handlers = flown.wiring.handlers.iter().zip(&flown.timing.runs);
+    let runs: Vec<(&str, f64)> =
+        handlers.map(|(handler, runs)| (handler.task, runs.count() as f64)).collect();
+    let of = |task: &str| runs.iter().find(|(name, _)| *name == task).unwrap().1;
+    let seconds = flown.outcome.flown_s();
+    for (task, rate_hz) in [("supply", 50.0), ("compass", 200.0)] {
+        assert!((of(task) - rate_hz * seconds).abs() <= 3.0, "{runs:?}");
+    }
+    // A line a second, and the sensor's set-up.
+    assert!((seconds + 40.0..seconds + 90.0).contains(&of("imu, health, announce")), "{runs:?}");
 }
 
 #[test]
