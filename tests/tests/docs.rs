@@ -163,13 +163,18 @@ fn grouped(count: i64) -> String {
     if count < 1_000 { count.to_string() } else { format!("{},{:03}", grouped(count / 1_000), count % 1_000) }
 }
 
-/// Figures of the firmware on the pages are those that were last measured: `tests/image/budgets.toml`, which the tests of
-/// the images hold.
+/// Figures of the firmware on the pages are those that were last measured: `tests/image/budgets.toml` and
+/// `studies/src/cost/m4.toml`, which the tests of the images hold.
 #[test]
 fn figures_of_the_firmware_are_those_of_the_budgets() {
     let budgets: toml::Table = read(&workspace().join("tests/image/budgets.toml")).parse().unwrap();
     let last = |kind: &str, name: &str| budgets[kind][name][1].as_integer().unwrap();
     let instructions = |name: &str| grouped(last("instructions", name));
+    let means: toml::Table = read(&workspace().join("studies/src/cost/m4.toml")).parse().unwrap();
+    let mean = |name: &str| {
+        let mean = &means[name]["instructions"];
+        mean.as_float().map_or_else(|| mean.as_integer().unwrap(), |mean| mean.round() as i64)
+    };
     for (page, places) in [
         (
             "README.md",
@@ -203,16 +208,24 @@ fn figures_of_the_firmware_are_those_of_the_budgets() {
                 "that drifts; logs | {estimator robust 9-axis} |",
             ],
         ),
-        ("docs/accuracy.md", &["sensor to motors, would go from {sample to motors} to"]),
+        (
+            "docs/accuracy.md",
+            &[
+                "over recordings | {mean estimator flight 9-axis} instructions |",
+                "6.5°, {mean estimator robust 9-axis} |",
+                "sensor to motors, would go from {sample to motors} to",
+            ],
+        ),
     ] {
         let text = read(&workspace().join(page)).split_whitespace().collect::<Vec<_>>().join(" ");
         for place in places {
             let mut parts = place.split(['{', '}']).enumerate();
             let expected: String = parts.by_ref().fold(String::new(), |text, (k, part)| match part {
                 part if k % 2 == 0 => text + part,
-                part => match part.strip_prefix("KiB ") {
-                    Some(name) => text + &grouped((last("bytes", name) as f64 / 1024.0).round() as i64),
-                    None => text + &instructions(part),
+                part => match (part.strip_prefix("KiB "), part.strip_prefix("mean ")) {
+                    (Some(name), _) => text + &grouped((last("bytes", name) as f64 / 1024.0).round() as i64),
+                    (_, Some(name)) => text + &grouped(mean(name)),
+                    _ => text + &instructions(part),
                 },
             });
             assert!(text.contains(&expected), "{page} must say: {expected}");
