@@ -38,6 +38,9 @@ pub const BUILT_IN: &[(&str, &str)] = boards!["speedybee-f405-v4", "speedybee-f4
 /// The board of an image that is built without saying which.
 pub const DEFAULT: &str = BUILT_IN[0].0;
 
+/// Longest name of a board's file, without its suffix: what is read of an image's name.
+const LONGEST_NAME: usize = 63;
+
 /// The motor pads, in the order in which the firmware counts them.
 pub const PADS: [&str; 4] = ["M1", "M2", "M3", "M4"];
 
@@ -198,6 +201,13 @@ impl Board {
             .ok_or_else(|| unknown("board", name_or_path, BUILT_IN.iter().map(|board| board.0)))?;
         // A built-in name has no suffix.
         let name = Path::new(name_or_path).file_stem().map_or("".into(), |stem| stem.to_string_lossy());
+        let plain = |c: char| c.is_ascii_alphanumeric() || "-_.".contains(c);
+        if !name.chars().all(plain) || name.len() > LONGEST_NAME {
+            let allowed = format!(
+                "the file's name must be of at most {LONGEST_NAME} letters, digits, -, _ and dots: it is the image's name"
+            );
+            return Err(InputError::new(allowed).file(place));
+        }
         Self::parse(&name, &place, &text)
     }
 

@@ -81,8 +81,10 @@ fn run(arguments: &Arguments) -> Result<Answer, InputError> {
         let allowed = "is missing: nobody flies in this scene; `sim-host scenes` lists those that are flown";
         return Err(InputError::new(allowed).file(&scene.name).field("pilot"));
     }
-    let image = arguments.image.as_deref().unwrap_or(Path::new(""));
-    spare(&[Path::new(&arguments.scene), image], &[("--log", arguments.log.as_deref())])?;
+    let mut inputs = scene.inputs();
+    inputs.extend(arguments.image.as_deref());
+    inputs.extend(arguments.board.as_deref().map(Path::new));
+    spare(&inputs, &[("--log", arguments.log.as_deref())])?;
     let named = arguments.board.as_deref();
     let read = arguments.image.as_deref().map(Firmware::read).transpose()?;
     let wiring = Arc::new(Wiring::new(board_of(named, read.as_ref())?, &scene.design));

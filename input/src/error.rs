@@ -46,6 +46,11 @@ impl InputError {
         self.file.is_some()
     }
 
+    /// The column, key or option, if it says one.
+    pub fn field_name(&self) -> Option<&str> {
+        self.field.as_deref()
+    }
+
     /// The line, counted from 1.
     pub fn line(mut self, line: u64) -> Self {
         self.line = Some(line);

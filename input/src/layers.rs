@@ -95,34 +95,50 @@ impl<'a> Layers<'a> {
     fn error(&self, message: &str, at: Option<usize>) -> InputError {
         let one_line = message.split_whitespace().collect::<Vec<_>>().join(" ");
         let said = InputError::new(with_suggestion(&one_line));
-        let Some((name, text, base)) =
-            self.texts.iter().rev().find(|(_, _, base)| at.is_none_or(|at| at >= *base))
-        else {
+        // A span of 0 with 0 is the whole table: something is missing from it, not wrong in it. Of several texts only
+        // the caller knows in which it should stand.
+        let Some(at) = at.filter(|at| *at > 0) else {
+            return match &self.texts[..] {
+                [(name, ..)] => said.file(name),
+                _ => said,
+            };
+        };
+        let Some((name, text, base)) = self.texts.iter().rev().find(|(_, _, base)| at >= *base) else {
             return said;
         };
-        let said = said.file(name);
-        // A span of 0 with 0 is the whole table: something is missing from it, not wrong in it.
-        match at {
-            None | Some(0) => said,
-            Some(at) => {
-                let before = &text[..(at - base).min(text.len())];
-                said.line(1 + before.matches('\n').count() as u64)
-            }
-        }
+        let before = &text[..(at - base).min(text.len())];
+        said.file(name).line(1 + before.matches('\n').count() as u64)
     }
 }
 
 /// The string at the top of a text under `key`, if there is one.
+///
+/// # Errors
+/// No TOML; something else under `key`.
 pub fn text_at(name: &str, text: &str, key: &str) -> Result<Option<String>, InputError> {
     let table = Layers::default().add(name, text)?;
-    Ok(string(&table, key))
+    string(&table, key).map_err(|error| error.file(name))
 }
 
 /// The string in a table under `key`, if there is one.
-pub fn string(table: &DeTable<'_>, key: &str) -> Option<String> {
-    match table.get(key)?.get_ref() {
-        DeValue::String(text) => Some(text.to_string()),
-        _ => None,
+///
+/// # Errors
+/// Something else is there.
+pub fn string(table: &DeTable<'_>, key: &str) -> Result<Option<String>, InputError> {
+    match table.get(key).map(Spanned::get_ref) {
+        None => Ok(None),
+        Some(DeValue::String(text)) => Ok(Some(text.to_string())),
+        Some(_) => Err(InputError::new("must be a string").field(key)),
+    }
+}
+
+/// Whether a table has what a dotted key names.
+pub fn has(table: &DeTable<'_>, dotted: &str) -> bool {
+    let (first, rest) = dotted.split_once('.').map_or((dotted, None), |(first, rest)| (first, Some(rest)));
+    match (table.get(first).map(Spanned::get_ref), rest) {
+        (Some(DeValue::Table(inner)), Some(rest)) => has(inner, rest),
+        (found, None) => found.is_some(),
+        _ => false,
     }
 }
 

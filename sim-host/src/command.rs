@@ -26,7 +26,9 @@ pub struct Answer {
 /// Prints an answer, or why there is none, and ends with the exit code for it.
 pub fn conclude(answer: Result<Answer, InputError>, json: bool) -> ExitCode {
     let printed = answer.and_then(|answer| {
-        let line = if json { answer.json.to_string() } else { answer.text };
+        // Names and descriptions are somebody's, and a terminal obeys control characters.
+        let shown = |text: String| text.replace(|c: char| c.is_control() && c != '\n', "\u{FFFD}");
+        let line = if json { answer.json.to_string() } else { shown(answer.text) };
         output_file::print(line.trim_end())?;
         Ok(answer.failed)
     });

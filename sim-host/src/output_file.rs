@@ -127,10 +127,17 @@ pub fn remove_unfinished() {
 /// by its option.
 ///
 /// # Errors
-/// An output is one of `inputs`.
+/// An output is one of `inputs`, or two of them are one file.
 pub fn spare(inputs: &[&Path], outputs: &[(&str, Option<&Path>)]) -> Result<(), InputError> {
-    for (option, out) in outputs {
+    for (n, (option, out)) in outputs.iter().enumerate() {
         let Some(out) = out else { continue };
+        for (other, same) in &outputs[..n] {
+            if same.is_some_and(|same| is_same(same, out)) {
+                return Err(InputError::new(format!("is {other}'s file already"))
+                    .field(*option)
+                    .value(out.display()));
+            }
+        }
         let Ok(target) = fs::canonicalize(out) else { continue };
         if inputs.iter().any(|input| fs::canonicalize(input).is_ok_and(|input| input == target)) {
             return Err(InputError::new("must not be a file that is read")
@@ -139,6 +146,17 @@ pub fn spare(inputs: &[&Path], outputs: &[(&str, Option<&Path>)]) -> Result<(), 
         }
     }
     Ok(())
+}
+
+/// Whether two paths are one file, which may not be there yet. A device or a pipe takes more than one output.
+fn is_same(one: &Path, other: &Path) -> bool {
+    let place = |path: &Path| {
+        let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        let made = || Some(fs::canonicalize(folder).ok()?.join(path.file_name()?));
+        fs::canonicalize(path).ok().or_else(made)
+    };
+    let is_file = |path: &Path| fs::metadata(path).map_or(true, |found| found.is_file());
+    place(one).is_some_and(|one| place(other) == Some(one)) && is_file(one)
 }
 
 /// Prints a line to standard output. A reader that has gone away (`| head`) is no error.
@@ -156,7 +174,10 @@ pub fn print(line: &str) -> Result<(), InputError> {
 }
 
 fn cannot_write(path: &Path, error: &io::Error) -> InputError {
-    InputError::new(format!("cannot be written: {error}")).file(path)
+    // Of the temporary file's name, which the error ends with, nobody has heard.
+    let why = error.to_string();
+    InputError::new(format!("cannot be written: {}", why.split(" at path ").next().unwrap_or(&why)))
+        .file(path)
 }
 
 fn open(path: &Path) -> io::Result<Sink> {

@@ -263,6 +263,11 @@ fn config_writes_the_record_that_the_board_reads() {
     let record = std::fs::read(&path).unwrap();
     let scene = sim_host::scene::Scene::load("hover").unwrap();
     assert_eq!(stored_config::decode(&record), Ok(scene.config));
+    assert_eq!(config["calibration"], "of the scene's SIMULATED sensors (mag.hard_iron), not of yours");
+    assert_eq!(
+        (config["vehicle"].as_str(), config["declination_deg"].as_f64().unwrap().round()),
+        (Some("os4"), 6.0)
+    );
     assert_eq!(
         (config["scene"].as_str(), config["bytes"].as_u64()),
         (Some("hover"), Some(record.len() as u64))
@@ -278,6 +283,92 @@ fn config_writes_the_record_that_the_board_reads() {
         "{text}"
     );
     assert_eq!(std::fs::read(directory.path().join("again.bin")).unwrap(), record);
+}
+
+/// How board and magnetometer lie in the vehicle is in the record, because the board takes it from there.
+#[test]
+fn the_record_has_the_vehicles_mounting() {
+    let directory = tempfile::tempdir().unwrap();
+    let scene = "include = \"hover\"\n[vehicle.mounting]\nboard = [\"right\", \"backward\", \"down\"]\n\
+                 compass = [\"left\", \"backward\", \"up\"]\n";
+    std::fs::write(directory.path().join("turned.toml"), scene).unwrap();
+    let output = sim_host(&["config", "turned.toml", "--out", "config.bin"], directory.path());
+    assert!(output.status.success(), "{output:?}");
+    let record = std::fs::read(directory.path().join("config.bin")).unwrap();
+    let params = stored_config::decode(&record).unwrap().params;
+    // Columns: where x, y and z of the chip point in the body.
+    let rows = |mounting: flight_core::geometry::Mat3<f32>| mounting.rows.map(|row| [row.x, row.y, row.z]);
+    let board = [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]];
+    assert_eq!((rows(params.gyro.mounting), rows(params.accel.mounting)), (board, board));
+    assert_eq!(rows(params.mag.mounting), [[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]]);
+}
+
+/// No command puts an output in the place of a file that it reads, whichever names it, or of another output.
+#[test]
+fn what_is_read_is_not_written_to() {
+    let directory = tempfile::tempdir().unwrap();
+    let write = |name: &str, text: &str| std::fs::write(directory.path().join(name), text).unwrap();
+    let vehicle = include_str!("../../vehicles/five-inch.toml");
+    let imu = include_str!("../imus/paper.toml");
+    write("quad.toml", vehicle);
+    write("imu.toml", imu);
+    write("below.toml", HOVER);
+    let scene = "include = \"below.toml\"\n[scene]\nduration_s = 9.0\nvehicle = \"quad.toml\"\nimu = \"imu.toml\"\n\
+                 [pilot]\nland_before_end_s = 0.1\n";
+    write("top.toml", scene);
+    let read = "must not be a file that is read";
+    for (arguments, said) in [
+        (&["config", "hover", "--vehicle", "quad.toml", "--out", "quad.toml"][..], read),
+        (&["config", "top.toml", "--out", "below.toml"], read),
+        (&["fly", "top.toml", "--log", "quad.toml"], read),
+        (&["fly", "top.toml", "--report", "imu.toml"], read),
+        (&["fly", "top.toml", "--runs", "2", "--out", "top.toml"], read),
+        (&["sense", "top.toml", "--out", "./below.toml"], read),
+        (
+            &["fly", "top.toml", "--log", "same", "--report", "./same"],
+            "--report = ./same: is --log's file already",
+        ),
+    ] {
+        let output = sim_host(arguments, directory.path());
+        let error = String::from_utf8(output.stderr).unwrap();
+        assert!(output.status.code() == Some(2) && error.contains(said), "{arguments:?}: {error}");
+    }
+    for (name, text) in
+        [("quad.toml", vehicle), ("imu.toml", imu), ("below.toml", HOVER), ("top.toml", scene)]
+    {
+        assert_eq!(std::fs::read_to_string(directory.path().join(name)).unwrap(), text, "{name}");
+    }
+    assert!(!directory.path().join("same").exists());
+}
+
+/// What is wrong with a vehicle is said of the file that has it, or lacks it.
+#[test]
+fn a_vehicles_mistakes_are_those_of_its_file() {
+    let directory = tempfile::tempdir().unwrap();
+    let write = |name: &str, text: &str| std::fs::write(directory.path().join(name), text).unwrap();
+    let vehicle = include_str!("../../vehicles/five-inch.toml");
+    write("no-mass.toml", &vehicle.replace("mass_g", "# mass_g"));
+    write("heavy.toml", &vehicle.replace("mass_g = 650.0", "mass_g = -1.0"));
+    let include = "include = \"hover\"\n[scene]\n";
+    write("heavy-below.toml", &format!("{include}vehicle = \"heavy.toml\"\n[vehicle]\ncells = 4\n"));
+    write("heavy-here.toml", &format!("{include}vehicle = \"five-inch\"\n[vehicle]\nmass_g = -1.0\n"));
+    write("none.toml", "[scene]\nduration_s = 1.0\nseed = 1\nimu = \"paper\"\n");
+    write("number.toml", &format!("{include}vehicle = 5\n"));
+    write("include.toml", "include = 5\n");
+    for (arguments, said) in [
+        (&["fly", "hover", "--vehicle", "no-mass.toml"][..], "no-mass.toml: missing field `mass_g`"),
+        (&["fly", "hover", "--vehicle", "gone.toml"], "--vehicle = gone.toml: gone.toml cannot be read"),
+        (&["fly", "hover", "--vehicle", "five-inhc"], "--vehicle = five-inhc: must be one of"),
+        (&["fly", "heavy-below.toml"], "heavy.toml: mass_g = -1: must be from 10 to 100000 g"),
+        (&["fly", "heavy-here.toml"], "heavy-here.toml: mass_g = -1: must be from 10 to 100000 g"),
+        (&["fly", "none.toml"], "none.toml: scene.vehicle: is missing"),
+        (&["fly", "number.toml"], "number.toml: scene.vehicle: must be a string"),
+        (&["fly", "include.toml"], "include.toml: include: must be a string"),
+    ] {
+        let output = sim_host(arguments, directory.path());
+        let error = String::from_utf8(output.stderr).unwrap();
+        assert!(output.status.code() == Some(2) && error.contains(said), "{arguments:?}: {error}");
+    }
 }
 
 #[test]

@@ -147,17 +147,50 @@ impl Default for Rates {
     }
 }
 
+/// A prefilter's cutoff: `prefilter_hz = 30.0`, or `"none"`.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(try_from = "toml::Value")]
+pub enum Cutoff {
+    /// Hz.
+    Hz(f64),
+    /// No prefilter.
+    None,
+}
+
+impl Cutoff {
+    /// Hz; `None` for no prefilter.
+    pub fn hz(self) -> Option<f64> {
+        match self {
+            // What flies is in single precision, and is what is checked.
+            Self::Hz(hz) => Some(f64::from(hz as f32)),
+            Self::None => None,
+        }
+    }
+}
+
+impl TryFrom<toml::Value> for Cutoff {
+    type Error = &'static str;
+    fn try_from(value: toml::Value) -> Result<Self, Self::Error> {
+        match value {
+            toml::Value::Float(hz) => Ok(Self::Hz(hz)),
+            toml::Value::Integer(hz) => Ok(Self::Hz(hz as f64)),
+            toml::Value::String(name) if name == "none" => Ok(Self::None),
+            _ => Err("prefilter_hz: must be a number of Hz or \"none\""),
+        }
+    }
+}
+
 /// `[filters]`
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 struct Filters {
-    prefilter_hz: Option<f64>,
+    prefilter_hz: Cutoff,
     estimator: String,
 }
 
 impl Default for Filters {
     fn default() -> Self {
-        Self { prefilter_hz: Some(30.0), estimator: "flight".into() }
+        Self { prefilter_hz: Cutoff::Hz(30.0), estimator: "flight".into() }
     }
 }
 
@@ -289,7 +322,7 @@ impl File {
             false,
         );
 
-        let prefilter_hz = self.filters.prefilter_hz;
+        let prefilter_hz = self.filters.prefilter_hz.hz();
         if let Some(cutoff_hz) = prefilter_hz {
             let (least_hz, most_hz) = prefilter_range_hz();
             between("filters.prefilter_hz", cutoff_hz, least_hz, most_hz, PREFILTER_ALLOWED)?;
@@ -311,11 +344,14 @@ impl File {
             notes.add(what, format!("{voltage:.1} V"), how, false);
         }
         if critical_voltage_v >= min_arm_voltage_v {
+            let a_cell = |voltage: f64| voltage / f64::from(self.cells);
             return Err(InputError::new(format!(
-                "must be below the {ARM_V} V or so at which a flight may start"
+                "critical_v_per_cell ({:.2} V) must be below arm_v_per_cell ({:.2} V); where the file has none it is \
+                 {CRITICAL_V:.1} and {ARM_V:.1} V",
+                a_cell(critical_voltage_v),
+                a_cell(min_arm_voltage_v)
             ))
-            .field("battery.critical_v_per_cell")
-            .value(critical_voltage_v / f64::from(self.cells)));
+            .field("battery"));
         }
         let channels = self.radio.channels()?;
         Ok(Vehicle {
@@ -390,15 +426,20 @@ impl File {
             feet_m,
             drag_kg_per_s,
         };
-        params.idle_rad_s =
-            match given("rotors.idle_rad_s", rotors.idle_rad_s, 0.0, 0.5 * max_rad_s, "rad/s")? {
-                Some(idle) => idle,
-                None => {
-                    let idle = (IDLE_SHARE * params.hover_rad_s()).min(0.5 * max_rad_s);
-                    notes.add("idle speed", format!("{idle:.0} rad/s"), "2 % of the thrust of hover", false);
-                    idle
-                }
-            };
+        params.idle_rad_s = match given(
+            "rotors.idle_rad_s",
+            rotors.idle_rad_s,
+            0.0,
+            IDLE_MOST * params.hover_rad_s(),
+            IDLE_UNIT,
+        )? {
+            Some(idle) => idle,
+            None => {
+                let idle = IDLE_SHARE * params.hover_rad_s();
+                notes.add("idle speed", format!("{idle:.0} rad/s"), "2 % of the thrust of hover", false);
+                idle
+            }
+        };
         Ok(params)
     }
 
@@ -448,6 +489,10 @@ impl File {
     }
 }
 
+/// Most that an armed rotor may idle at, of its speed in hover: half of hover's thrust, so that the vehicle comes down.
+const IDLE_MOST: f64 = std::f64::consts::FRAC_1_SQRT_2;
+const IDLE_UNIT: &str = "rad/s, 0.7 of hover";
+
 /// What a prefilter's cutoff may be, for errors: of the sensors behind one the magnetometer is the slowest.
 pub const PREFILTER_ALLOWED: &str = "Hz, just below half the magnetometer's rate";
 
@@ -477,7 +522,8 @@ impl Inertia {
         right_m: f64,
         notes: &mut Notes,
     ) -> Result<Vec3<f64>, InputError> {
-        let keys = [("kg_m2", self.kg_m2.is_some()), ("hub_g with hub_mm", self.hub_g.is_some())];
+        let hub = self.hub_g.is_some() || self.hub_mm.is_some();
+        let keys = [("kg_m2", self.kg_m2.is_some()), ("hub_g with hub_mm", hub)];
         one_of("inertia", &keys)?;
         let inertia = match (self.kg_m2, self.hub_g, self.hub_mm) {
             (Some(inertia), _, _) => {
@@ -505,7 +551,12 @@ impl Inertia {
                 notes.add("moments of inertia", format!("{x:.2}, {y:.2}, {z:.2} g m²"), how, true);
                 inertia
             }
-            _ => return Err(InputError::new("is missing: hub_g needs it").field("inertia.hub_mm")),
+            (None, Some(_), None) => {
+                return Err(InputError::new("is missing: hub_g needs it").field("inertia.hub_mm"));
+            }
+            (None, None, _) => {
+                return Err(InputError::new("is missing: hub_mm needs it").field("inertia.hub_g"));
+            }
         };
         // No body has a moment larger than the other two together.
         let [x, y, z] = inertia;
@@ -562,7 +613,13 @@ impl Rotors {
         let speed = kv * RAD_S_PER_RPM * LOADED_CELL_V * f64::from(cells) * LOADED_SHARE;
         let how = format!("75 % of {kv} rpm/V at {LOADED_CELL_V} V a cell, {cells} cells");
         notes.add("speed at full throttle", format!("{speed:.0} rad/s"), how, true);
-        within("rotors.kv_rpm_per_v", speed, 65.0, 1e4, "rad/s at full throttle")?;
+        if !(65.0..=1e4).contains(&speed) {
+            return Err(InputError::new(format!(
+                "makes {speed:.0} rad/s at full throttle with {cells} cells: must be from 65 to 10000 rad/s"
+            ))
+            .field("rotors.kv_rpm_per_v")
+            .value(kv));
+        }
         Ok(speed)
     }
 
@@ -576,15 +633,23 @@ impl Rotors {
         let b = full_g / 1e3 * crate::GRAVITY / (max_rad_s * max_rad_s);
         let how = format!("{full_g} g at {max_rad_s:.0} rad/s");
         notes.add("thrust coefficient", format!("{b:.3e} N s²"), how, false);
-        within("rotors.full_thrust_g", b, 1e-9, 0.1, "N s² of thrust coefficient")?;
+        if !(1e-9..=0.1).contains(&b) {
+            return Err(InputError::new(format!(
+                "at {max_rad_s:.0} rad/s is {b:.3e} N s²: must be from 1e-9 to 0.1 N s²"
+            ))
+            .field("rotors.full_thrust_g")
+            .value(full_g));
+        }
         Ok(b)
     }
 
     fn torque_coefficient(&self, b: f64, notes: &mut Notes) -> Result<f64, InputError> {
+        // Checked even where a measured torque makes it needless: the rotors' inertia may take it, too.
+        let diameter_mm = given("rotors.propeller_mm", self.propeller_mm, 20.0, 2e3, "mm")?;
         if let Some(d) = given("rotors.torque_n_m_s2", self.torque_n_m_s2, 1e-11, 0.1, "N m s²")? {
             return Ok(d);
         }
-        let Some(diameter_mm) = given("rotors.propeller_mm", self.propeller_mm, 20.0, 2e3, "mm")? else {
+        let Some(diameter_mm) = diameter_mm else {
             return Err(
                 InputError::new("needs torque_n_m_s2, or propeller_mm for an estimate of it").field("rotors")
             );
@@ -597,10 +662,15 @@ impl Rotors {
     }
 
     fn rotor_inertia(&self, notes: &mut Notes) -> Result<f64, InputError> {
-        if let Some(inertia) = given("rotors.inertia_kg_m2", self.inertia_kg_m2, 0.0, 1.0, "kg m²")? {
+        let measured = given("rotors.inertia_kg_m2", self.inertia_kg_m2, 0.0, 1.0, "kg m²")?;
+        let grams = given("rotors.propeller_g", self.propeller_g, 0.1, 1e3, "g")?;
+        if measured.is_some() || grams.is_some() {
+            one_of("rotors", &[("inertia_kg_m2", measured.is_some()), ("propeller_g", grams.is_some())])?;
+        }
+        if let Some(inertia) = measured {
             return Ok(inertia);
         }
-        let Some(grams) = given("rotors.propeller_g", self.propeller_g, 0.1, 1e3, "g")? else {
+        let Some(grams) = grams else {
             notes.add(
                 "moment of inertia of a rotor",
                 "0 kg m²",
@@ -643,9 +713,11 @@ impl Radio {
             within(field, f64::from(channel), 5.0, 16.0, "(1 to 4 are the sticks)")?;
         }
         if self.arm_channel == self.mode_channel {
-            return Err(InputError::new("must not be the arm switch's")
-                .field("radio.mode_channel")
-                .value(self.mode_channel));
+            return Err(InputError::new(
+                "arm_channel and mode_channel must differ (5 and 6 where the file has none)",
+            )
+            .field("radio")
+            .value(self.mode_channel));
         }
         Ok(ChannelMap { sticks: [t, a, e, r], arm: self.arm_channel - 1, mode: self.mode_channel - 1 })
     }

@@ -24,12 +24,13 @@ use flight_core::estimator::EstimatorParams;
 use flight_core::geometry::{Mat3, Vec3, vec3};
 use flight_core::mixer::{Airframe, Spin};
 use flight_core::rc::{ArmBy, ChannelMap};
+use flight_core::{Config, FlightController};
 use input::InputError;
 use input::axes::Axes;
 use input::layers::{Layers, ReadText, built_in_or_file, text_of};
 use toml::de::DeTable;
 
-pub use file::{PREFILTER_ALLOWED, estimator, prefilter_range_hz};
+pub use file::{Cutoff, PREFILTER_ALLOWED, estimator, prefilter_range_hz};
 pub use plant::{Axis, Loop, Margin, Plant};
 pub use tune::{MARGIN_DEG, Tuned, authority_rad_s2, tune};
 
@@ -233,7 +234,12 @@ impl Vehicle {
     /// # Errors
     /// Anything wrong in the table. Errors of a value have no file yet: it may be of any of the layers.
     pub fn of_table<'a>(name: &str, layers: &Layers<'a>, table: DeTable<'a>) -> Result<Self, InputError> {
-        layers.read::<file::File>(table)?.build(name)
+        let vehicle = layers.read::<file::File>(table)?.build(name)?;
+        // What is computed from the file's figures must do for the flight controller, too.
+        let config = Config { params: vehicle.flight_params(&Params::default()), calibration: None };
+        FlightController::new(&config)
+            .map_err(|error| InputError::new(format!("makes no flight controller: {error}")))?;
+        Ok(vehicle)
     }
 
     /// The flight controller's configuration of this vehicle, with the sensors of `board`.

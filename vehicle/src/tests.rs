@@ -153,6 +153,38 @@ fn mistakes_are_named() {
         ("spin = \"props-out\"", "spin = \"props\"", "unknown variant `props`"),
         ("cells = 3", "cells = 0", "altered.toml: cells = 0: must be from 1 to 24 cells"),
         (
+            "inertia_kg_m2 = 6.0e-5",
+            "propeller_mm = nan",
+            "altered.toml: rotors.propeller_mm = NaN: must be from 20 to 2000 mm",
+        ),
+        (
+            "inertia_kg_m2 = 6.0e-5",
+            "inertia_kg_m2 = 6.0e-5\npropeller_g = 4.0",
+            "altered.toml: rotors: has inertia_kg_m2 and propeller_g",
+        ),
+        (
+            "kg_m2 = [7.5e-3, 7.5e-3, 1.3e-2]",
+            "kg_m2 = [7.5e-3, 7.5e-3, 1.3e-2]\nhub_mm = [1.0, 1.0, 1.0]",
+            "altered.toml: inertia: has kg_m2 and hub_g with hub_mm",
+        ),
+        ("idle_rad_s = 32.0", "idle_rad_s = 200.0", "rotors.idle_rad_s = 200: must be from 0 to 159"),
+        (
+            "max_rad_s = 319.0",
+            "kv_rpm_per_v = 30000.0",
+            "rotors.kv_rpm_per_v = 30000: makes 26154 rad/s at full throttle with 3 cells: must be from 65 to 10000 rad/s",
+        ),
+        (
+            "[gains]",
+            "[battery]\narm_v_per_cell = 2.5\n[gains]",
+            "altered.toml: battery: critical_v_per_cell (3.00 V) must be below arm_v_per_cell (2.50 V)",
+        ),
+        (
+            "[gains]",
+            "[filters]\nprefilter_hz = 0.5000000001\n[gains]",
+            "filters.prefilter_hz = 0.5: must be above 0.5",
+        ),
+        ("[gains]", "[filters]\nprefilter_hz = \"non\"\n[gains]", "must be a number of Hz or \"none\""),
+        (
             "[gains]",
             "[filters]\nprefilter_hz = 80.0\n[gains]",
             "filters.prefilter_hz = 80: must be above 0.5 and below 49.95 Hz, just below half the magnetometer's rate",
@@ -162,6 +194,16 @@ fn mistakes_are_named() {
         assert!(error.contains(said), "{error}\n{said}");
         assert_eq!(error.lines().count(), 1);
     }
+    // Gains that are computed must do, too.
+    let (before_gains, _) = BUILT_IN[0].1.split_once("# Found by hand").unwrap();
+    let slight = before_gains.replace("kg_m2 = [7.5e-3, 7.5e-3, 1.3e-2]", "kg_m2 = [1e-5, 1e-5, 1.9e-5]");
+    let error = Vehicle::parse("slight.toml", &slight).unwrap_err().to_string();
+    assert!(
+        error.starts_with("slight.toml: makes no flight controller: control.max_integral_rad_s2"),
+        "{error}"
+    );
+    let without = altered("[gains]", "[filters]\nprefilter_hz = \"none\"\n[gains]").unwrap();
+    assert_eq!(without.prefilter_hz, None);
     assert!(Vehicle::parse("x.toml", "").unwrap_err().to_string().contains("is empty"));
     let error = Vehicle::load("five-inhc").unwrap_err().to_string();
     assert!(error.contains("did you mean `five-inch`?"), "{error}");
@@ -177,7 +219,7 @@ fn the_receivers_channels_are_those_of_the_file() {
     for (lines, said) in [
         ("order = \"AETT\"", "radio.order = AETT: must be A, E, T and R"),
         ("arm_channel = 3", "radio.arm_channel = 3: must be from 5 to 16"),
-        ("mode_channel = 5", "radio.mode_channel = 5: must not be the arm switch's"),
+        ("mode_channel = 5", "radio = 5: arm_channel and mode_channel must differ"),
     ] {
         assert!(radio(lines).unwrap_err().to_string().contains(said), "{lines}");
     }

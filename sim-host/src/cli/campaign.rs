@@ -22,7 +22,7 @@ pub fn fly(scene: &Scene, arguments: &FlyArguments) -> Result<Answer, InputError
         let allowed = format!("must be no more parts than the {} runs", campaign.runs);
         return Err(InputError::new(allowed).field("--shard").value(format!("…/{}", shard.parts())));
     }
-    spare(&[Path::new(&arguments.scene)], &[("--out", arguments.out.as_deref())])?;
+    spare(&scene.inputs(), &[("--out", arguments.out.as_deref())])?;
     let runs = shard.runs(campaign.runs);
     let wanted = runs.end - runs.start;
     let jobs = match arguments.jobs {

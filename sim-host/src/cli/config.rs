@@ -4,7 +4,7 @@ use std::io::Write as _;
 use std::path::Path;
 
 use flight_core::Config;
-use flight_core::calibration::Calibration;
+use flight_core::calibration::{Calibration, SensorCalibration};
 use input::InputError;
 use serde_json::json;
 use sim_host::output_file::{OutputFile, spare};
@@ -21,9 +21,10 @@ const TAKEN_OUT: [&str; 5] = ["bias", "scale_factor", "misalignment", "hard_iron
 
 pub fn run(arguments: &ConfigArguments) -> Result<Answer, InputError> {
     let scene = load(&arguments.scene, arguments.vehicle.as_deref(), None, None)?;
-    spare(&[Path::new(&arguments.scene)], &[("--out", Some(&arguments.out))])?;
+    spare(&scene.inputs(), &[("--out", Some(&arguments.out))])?;
     let mut buffer = [0; MAX_RECORD];
-    let record = encode(&scene.config, &mut buffer)
+    // With how board and magnetometer lie in the vehicle, which the board takes from the record.
+    let record = encode(&scene.board_config(), &mut buffer)
         .map_err(|error| InputError::new(error.to_string()).field("SCENE").value(&arguments.scene))?;
     write(&arguments.out, record)?;
 
@@ -43,7 +44,18 @@ pub fn run(arguments: &ConfigArguments) -> Result<Answer, InputError> {
         Some(_) if !simulated.is_empty() => {
             format!("of the scene's SIMULATED sensors ({}), not of yours", simulated.join(", "))
         }
-        Some(_) => "measured".to_owned(),
+        Some(calibration) => {
+            let sensors = [("gyroscope", &calibration.gyro), ("accelerometer", &calibration.accel)];
+            let sensors = sensors.into_iter().chain([("magnetometer", &calibration.mag)]);
+            let (taken, measured): (Vec<_>, Vec<_>) =
+                sensors.partition(|(_, sensor)| **sensor == SensorCalibration::NONE);
+            let names =
+                |list: Vec<(&str, _)>| list.iter().map(|(name, _)| *name).collect::<Vec<_>>().join(", ");
+            match taken.len() {
+                0 => "measured".to_owned(),
+                _ => format!("measured: {}; the datasheet's figures: {}", names(measured), names(taken)),
+            }
+        }
         None => "missing: the board refuses to arm".into(),
     };
     let declination_deg = f64::from(params.estimator.declination_rad).to_degrees();

@@ -1,7 +1,6 @@
 //! The command `fly`.
 
 use std::fmt::Write as _;
-use std::path::Path;
 use std::time::Instant;
 
 use input::InputError;
@@ -27,7 +26,7 @@ pub fn run(arguments: &FlyArguments) -> Result<Answer, InputError> {
 /// One flight, with whatever is to be written about it.
 fn one(scene: &Scene, arguments: &FlyArguments) -> Result<Answer, InputError> {
     let (log, report) = (arguments.log.as_deref(), arguments.report.as_deref());
-    spare(&[Path::new(&arguments.scene)], &[("--log", log), ("--report", report)])?;
+    spare(&scene.inputs(), &[("--log", log), ("--report", report)])?;
     let log = log.map(|path| FlightLog::create(path, scene)).transpose()?;
     let recorder = arguments.report.as_ref().map(|_| Recorder::new());
     let progress = FlightProgress::new(scene.duration_s, &scene.name);

@@ -72,7 +72,8 @@ fn on_qemu(_: &Scene, _: &HilArguments) -> Result<Answer, InputError> {
 
 /// One flight, with whatever is to be written about it.
 fn one(wire: &mut impl Wire, scene: &Scene, arguments: &HilArguments) -> Result<(Flown, f64), InputError> {
-    let inputs = [Path::new(&arguments.scene), arguments.image.as_deref().unwrap_or(Path::new(""))];
+    let mut inputs = scene.inputs();
+    inputs.extend(arguments.image.as_deref());
     spare(&inputs, &[("--log", arguments.log.as_deref()), ("--report", arguments.report.as_deref())])?;
     let log = arguments.log.as_ref().map(|path| FlightLog::create(path, scene)).transpose()?;
     let recorder = arguments.report.as_ref().map(|_| Recorder::new());

@@ -1,6 +1,5 @@
 //! The commands `sense` and `estimate`: making logs, and running over them.
 
-use std::path::Path;
 use std::time::Instant;
 
 use input::InputError;
@@ -13,7 +12,7 @@ use super::{Answer, EstimateArguments, SenseArguments, load};
 
 pub fn sense(arguments: &SenseArguments) -> Result<Answer, InputError> {
     let scene = load(&arguments.scene, arguments.vehicle.as_deref(), arguments.seed, arguments.duration)?;
-    spare(&[Path::new(&arguments.scene)], &[("--out", arguments.out.as_deref())])?;
+    spare(&scene.inputs(), &[("--out", arguments.out.as_deref())])?;
     let mut writer = arguments.out.as_ref().map(LogWriter::create).transpose()?;
     let start = Instant::now();
     let samples = sense::run(&scene, scene.seed, arguments.rate_hz, writer.as_mut())?;

@@ -87,31 +87,11 @@ pub(super) struct Flight {
     /// Absent: the vehicle's.
     pub estimator: Option<String>,
     /// Absent: the vehicle's.
-    pub prefilter_hz: Option<Cutoff>,
+    pub prefilter_hz: Option<vehicle::Cutoff>,
     /// Added to the magnetic heading, positive east.
     #[serde(default)]
     pub declination_deg: Declination,
     pub calibration: Option<CalibrationTable>,
-}
-
-/// `prefilter_hz = 30.0`, or `"none"`.
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
-#[serde(try_from = "toml::Value")]
-pub(super) enum Cutoff {
-    Hz(f64),
-    None,
-}
-
-impl TryFrom<toml::Value> for Cutoff {
-    type Error = &'static str;
-    fn try_from(value: toml::Value) -> Result<Self, Self::Error> {
-        match value {
-            toml::Value::Float(hz) => Ok(Self::Hz(hz)),
-            toml::Value::Integer(hz) => Ok(Self::Hz(hz as f64)),
-            toml::Value::String(name) if name == "none" => Ok(Self::None),
-            _ => Err("flight.prefilter_hz: must be a number of Hz or \"none\""),
-        }
-    }
 }
 
 /// `declination_deg = 6.175`, or `"model"` for that of the scene's place.

@@ -13,7 +13,8 @@ mod stiffness;
 mod tolerances;
 
 use std::borrow::Cow;
-use std::path::Path;
+use std::cell::RefCell;
+use std::path::{Path, PathBuf};
 
 use flight_core::FlightController;
 use flight_core::calibration::{Calibration, Sensitivity, SensorCalibration};
@@ -117,6 +118,8 @@ pub struct Scene {
     pub design: Vehicle,
     /// Where `design` is from: the name of a built-in vehicle, or the path of a file.
     pub vehicle_place: String,
+    /// The files that it was put together from, and its own name.
+    pub files: Vec<PathBuf>,
     /// Whether it stands on a ball joint.
     pub ball_joint: bool,
     /// Whether a tilt above 90° is meant.
@@ -178,15 +181,18 @@ impl Scene {
         };
         let include = absolute(name_or_path, BUILT_IN.iter().any(|scene| scene.name == name_or_path));
         let is_built_in = vehicle::BUILT_IN.iter().any(|(name, _)| *name == vehicle);
-        if !is_built_in && !vehicle.ends_with(".toml") {
-            let names = vehicle::BUILT_IN.iter().map(|(name, _)| *name);
-            return Err(check::unknown("--vehicle", vehicle, names));
-        }
+        vehicle::find(vehicle, Path::new(""), &layers::text_of)
+            .map_err(|error| error.field("--vehicle").value(vehicle))?;
         let mut altered = toml::Table::new();
         altered.insert("include".into(), include.into());
         let vehicle = absolute(vehicle, is_built_in);
         altered.insert("scene".into(), toml::Table::from_iter([("vehicle".into(), vehicle.into())]).into());
         Self::parse(&scene.name, &altered.to_string())
+    }
+
+    /// The files that no output may take the place of.
+    pub fn inputs(&self) -> Vec<&Path> {
+        self.files.iter().map(PathBuf::as_path).collect()
     }
 
     /// Reads a scene from TOML; `name` is what errors and results call it.
@@ -202,6 +208,16 @@ impl Scene {
     /// # Errors
     /// As there.
     pub fn parse_with(name: &str, text: &str, read: ReadText) -> Result<Self, InputError> {
+        let files = RefCell::new(vec![PathBuf::from(name)]);
+        let read: ReadText = &|path| {
+            files.borrow_mut().push(path.into());
+            read(path)
+        };
+        let scene = Self::of_layers(name, text, read)?;
+        Ok(Self { files: files.into_inner(), ..scene })
+    }
+
+    fn of_layers(name: &str, text: &str, read: ReadText) -> Result<Self, InputError> {
         if text.trim().is_empty() {
             return Err(InputError::new("is empty; a scene needs a [scene] table").file(name));
         }
@@ -214,25 +230,31 @@ impl Scene {
             let under = layers.add(&included.name, &included.text)?;
             table = merge(table, under);
         }
-        let vehicle_name = string_in(&table, "vehicle").unwrap_or_default();
+        let vehicle_name = string_in(&table, "vehicle", "vehicle").map_err(|error| error.file(name))?;
         let (vehicle_layer, vehicle_text, figures_text);
         (vehicle_layer, vehicle_text) = vehicle::find(&vehicle_name, Path::new(name), read)
             .map_err(|error| error.file(name).field("scene.vehicle").value(&vehicle_name))?;
         let mut vehicle_table = layers.add(&vehicle_layer, &vehicle_text)?;
-        let altered = table.remove("vehicle").map(Spanned::into_inner);
-        let named = if altered.is_some() { name } else { &vehicle_layer };
-        if let Some(DeValue::Table(altered)) = altered {
-            vehicle_table = merge(altered, vehicle_table);
-        } else if altered.is_some() {
-            return Err(InputError::new("must be a table; the vehicle's name stands in [scene]")
-                .file(name)
-                .field("vehicle"));
-        }
-        let design = Vehicle::of_table(&vehicle_name, &layers, vehicle_table)
-            .map_err(|error| if error.has_file() { error } else { error.file(named) })?;
+        let altered = match table.remove("vehicle").map(Spanned::into_inner) {
+            None => DeTable::new(),
+            Some(DeValue::Table(altered)) => altered,
+            Some(_) => {
+                return Err(InputError::new("must be a table; the vehicle's name stands in [scene]")
+                    .file(name)
+                    .field("vehicle"));
+            }
+        };
+        vehicle_table = merge(altered.clone(), vehicle_table);
+        let design = Vehicle::of_table(&vehicle_name, &layers, vehicle_table).map_err(|error| {
+            let here = error.field_name().is_some_and(|field| layers::has(&altered, field));
+            match error.has_file() {
+                true => error,
+                false => error.file(if here { name } else { &vehicle_layer }),
+            }
+        })?;
         figures_text = figures(&design);
         let own_figures = layers.add(&format!("figures of {vehicle_layer}"), &figures_text)?;
-        let imu = string_in(&table, "imu").unwrap_or_default();
+        let imu = string_in(&table, "imu", "sensor preset").map_err(|error| error.file(name))?;
         (preset_name, preset_text) = imu::find(&imu, Path::new(name), read)?;
         let (preset, figures) = ImuPreset::read(&mut layers, &preset_name, &preset_text)?;
         if let Some(DeValue::Table(effects)) = table.get_mut("effects").map(Spanned::get_mut) {
@@ -240,7 +262,8 @@ impl Scene {
             complete(effects, &own_figures);
         }
         let text_hash = layers.hash();
-        let file: file::SceneFile = layers.read(table)?;
+        let file: file::SceneFile =
+            layers.read(table).map_err(|error| if error.has_file() { error } else { error.file(name) })?;
         let is_built_in = vehicle::BUILT_IN.iter().any(|(built_in, _)| *built_in == vehicle_name);
         let vehicle_place = if is_built_in { vehicle_name } else { vehicle_layer };
         let scene = Self::build(name, file, design, &preset, text_hash).map_err(|error| error.file(name))?;
@@ -276,6 +299,7 @@ impl Scene {
             vehicle,
             design,
             vehicle_place: String::new(),
+            files: Vec::new(),
             ball_joint,
             aerobatic: scene.aerobatic,
             pilot,
@@ -480,12 +504,19 @@ impl Scene {
     }
 }
 
-/// The string under `[scene]` with this key, if there is one.
-fn string_in(table: &DeTable<'_>, key: &str) -> Option<String> {
-    match table.get("scene")?.get_ref() {
-        DeValue::Table(scene) => layers::string(scene, key),
-        _ => None,
-    }
+/// The string under `[scene]` with this key.
+fn string_in(table: &DeTable<'_>, key: &str, what: &str) -> Result<String, InputError> {
+    let found = match table.get("scene").map(Spanned::get_ref) {
+        None => None,
+        Some(DeValue::Table(scene)) => {
+            layers::string(scene, key).map_err(|error| error.field(format!("scene.{key}")))?
+        }
+        Some(_) => return Err(InputError::new("must be a table").field("scene")),
+    };
+    found.ok_or_else(|| {
+        InputError::new(format!("is missing: the name of a built-in {what}, or a file's"))
+            .field(format!("scene.{key}"))
+    })
 }
 
 /// Figures of a vehicle for the effects that a scene names without figures.
@@ -507,8 +538,7 @@ impl file::Flight {
         };
         let prefilter_hz = match self.prefilter_hz {
             None => design.prefilter_hz,
-            Some(file::Cutoff::Hz(cutoff_hz)) => Some(cutoff_hz),
-            Some(file::Cutoff::None) => None,
+            Some(cutoff) => cutoff.hz(),
         };
         if let Some(cutoff_hz) = prefilter_hz {
             let (least_hz, most_hz) = vehicle::prefilter_range_hz();
