@@ -166,7 +166,7 @@ fn drag_of_nothing_and_of_honey() {
         let error = hover_with(&format!("[effects.vehicle.{drag}\n")).unwrap_err();
         assert!(error.contains(says) && error.contains("steps of 1 ms"), "{error}");
     }
-    let light = "[vehicle]\nmass_g = 20.0\n[effects.vehicle.linear_drag]\na_kg_per_s = [30.0, 0.0, 0.0]\n";
+    let light = "[vehicle]\nmass_g = 20.0\nrotors.idle_rad_s = 5.0\n[effects.vehicle.linear_drag]\na_kg_per_s = [30.0, 0.0, 0.0]\n";
     assert!(hover_with(light).unwrap_err().contains("at most"), "{light}");
 }
 
