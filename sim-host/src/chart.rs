@@ -34,6 +34,7 @@ use std::fmt::Write as _;
 
 use maud::Render;
 use panel::Place;
+use path::along_px;
 use ticks::{Ladder, Ticks};
 
 /// The Okabe-Ito colours, which stay apart in every common kind of colour blindness.
@@ -397,21 +398,13 @@ impl Chart {
 
     fn x_ticks(&self, range: (f64, f64)) -> Ticks {
         let most = (self.plot_width() / TICK_DISTANCE_X) as usize;
-        match self.scale {
-            Scale::Linear => Ticks::between(range, most, Ladder::Decimal),
-            Scale::Logarithmic => Ticks::of_decades(range, most),
-        }
-    }
-
-    /// Place of a coordinate in the plot, px from its left edge.
-    fn x_px(&self, (first, last): (f64, f64), x: f64) -> f64 {
-        (x - first) / (last - first).max(1e-9) * self.plot_width()
+        Ticks::on(self.scale, range, most, Ladder::Decimal)
     }
 
     fn draw_x_axis(&self, svg: &mut String, (left, y): (f64, f64), range: (f64, f64), ticks: &Ticks) {
         let _ = write!(svg, "<path class=\"a\" d=\"M{} {}h{}\"/>", px(left), px(y), px(self.plot_width()));
         for (at, label) in ticks.labels() {
-            let x = px(left + self.x_px(range, at));
+            let x = px(left + along_px(range, self.plot_width(), at));
             let _ = write!(svg, "<path class=\"a\" d=\"M{x} {}v4\"/>", px(y));
             text(svg, &format!("class=\"k c\" x=\"{x}\" y=\"{}\"", px(y + 17.0)), &label);
         }
@@ -422,7 +415,7 @@ impl Chart {
     /// Place of a mark in the plot, px from its left edge.
     fn mark_px(&self, mark: &Mark) -> f64 {
         let (first, last) = self.along.unwrap_or_default();
-        self.x_px((self.scale.of(first), self.scale.of(last)), self.scale.of(mark.time_s))
+        along_px((self.scale.of(first), self.scale.of(last)), self.plot_width(), self.scale.of(mark.time_s))
     }
 
     /// The marks' labels, above the first plot, whose top is at `bottom`.

@@ -26,7 +26,7 @@ pub struct Answer {
 /// Prints an answer, or why there is none, and ends with the exit code for it.
 pub fn conclude(answer: Result<Answer, InputError>, json: bool) -> ExitCode {
     let printed = answer.and_then(|answer| {
-        // Names and descriptions are somebody's, and a terminal obeys control characters.
+        // Names and descriptions come from files: their control characters must not reach the terminal.
         let shown = |text: String| text.replace(|c: char| c.is_control() && c != '\n', "\u{FFFD}");
         let line = if json { answer.json.to_string() } else { shown(answer.text) };
         output_file::print(line.trim_end())?;

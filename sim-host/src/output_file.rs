@@ -174,7 +174,7 @@ pub fn print(line: &str) -> Result<(), InputError> {
 }
 
 fn cannot_write(path: &Path, error: &io::Error) -> InputError {
-    // Of the temporary file's name, which the error ends with, nobody has heard.
+    // The error ends with the name of the temporary file, which the user does not know.
     let why = error.to_string();
     InputError::new(format!("cannot be written: {}", why.split(" at path ").next().unwrap_or(&why)))
         .file(path)

@@ -283,6 +283,11 @@ pub fn matrix(axes: &Axes) -> Mat3<f32> {
     Mat3 { rows: axes.rows().map(|row| Vec3::from(row.map(f32::from))) }
 }
 
+/// Whether a built-in vehicle has this name.
+pub fn is_built_in(name: &str) -> bool {
+    BUILT_IN.iter().any(|(built_in, _)| *built_in == name)
+}
+
 /// Name and text of a built-in vehicle, or of a file beside `from`.
 ///
 /// # Errors

@@ -168,7 +168,7 @@ impl<'a> Setting<'a> {
 /// What every filter takes and gives. A new one is a file with a struct that does this, and its line in this file's
 /// [`Method`], [`Filters`], [`with_filter!`](crate::with_filter) and [`Estimator::new`].
 pub trait Filter {
-    /// Whether it averages over seconds whatever is not turned by the gyroscope, and so needs no prefilter.
+    /// Whether it averages accelerometer and magnetometer over seconds, and so needs no prefilter.
     const IS_A_LOW_PASS: bool = false;
 
     /// See [`Estimator::update`].

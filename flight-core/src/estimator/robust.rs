@@ -310,7 +310,7 @@ impl Filter for RobustFilter {
     // A function of its own: inlined into the controller's step it would cost the other filters registers.
     #[inline(never)]
     fn update(&mut self, gyro: Vec3<f32>, accel: Vec3<f32>, mag: Option<Vec3<f32>>, dt_s: f32) {
-        // A comparison with what is not a number is false.
+        // A comparison with NaN is false.
         let plausible = gyro.dot(gyro) < MAX_RATE * MAX_RATE
             && accel.dot(accel) < MAX_SPECIFIC_FORCE * MAX_SPECIFIC_FORCE;
         if !plausible {

@@ -71,13 +71,8 @@ impl Panel {
     }
 
     fn ticks(&self, scale: Scale, range: (f64, f64)) -> Ticks {
-        match scale {
-            Scale::Logarithmic => Ticks::of_decades(range, self.most_ticks()),
-            Scale::Linear => {
-                let ladder = if self.unit.starts_with('°') { Ladder::Degrees } else { Ladder::Decimal };
-                Ticks::between(range, self.most_ticks(), ladder)
-            }
-        }
+        let ladder = if self.unit.starts_with('°') { Ladder::Degrees } else { Ladder::Decimal };
+        Ticks::on(scale, range, self.most_ticks(), ladder)
     }
 
     pub(super) fn draw(
@@ -91,8 +86,8 @@ impl Panel {
     ) {
         let Place { left, top, width, height } = *place;
         let (low, high) = self.range(scale, along);
-        let x_px = |x: f64| (x - along.0) / (along.1 - along.0).max(1e-9) * width;
-        let y_px = |y: f64| (high - y) / (high - low) * height;
+        let projection = Projection { along, values: (low, high), width, height };
+        let (x_px, y_px) = (|x| projection.x(x), |y| projection.y(y));
         let at_px = |(x, y): (f64, f64)| (x_px(scale.of(x)), y_px(scale.of(y)));
 
         // A drawing of its own clips what lies outside.
@@ -113,7 +108,6 @@ impl Panel {
         for band in &self.bands {
             draw_band(svg, band, at_px);
         }
-        let projection = Projection { along, values: (low, high), width, height };
         for line in &self.lines {
             draw_line(svg, line, scale, &projection, at_px);
         }

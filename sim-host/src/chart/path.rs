@@ -12,6 +12,11 @@ const TOLERANCE: f64 = 1.0;
 /// Coordinates beyond this are outside of any screen, tenths of a pixel.
 const FURTHEST: f64 = 1e6;
 
+/// Place of a coordinate along an axis of this range and width, px from its beginning.
+pub(super) fn along_px((first, last): (f64, f64), width: f64, x: f64) -> f64 {
+    (x - first) / (last - first).max(1e-9) * width
+}
+
 /// From coordinates of the axes to a plot.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Projection {
@@ -48,14 +53,20 @@ impl Projection {
         &run[from..to.max(from)]
     }
 
-    fn project(&self, (t, value): (f64, f64)) -> Point {
-        let (first, last) = self.along;
+    /// Px from the left.
+    pub fn x(&self, along: f64) -> f64 {
+        along_px(self.along, self.width, along)
+    }
+
+    /// Px from the top.
+    pub fn y(&self, value: f64) -> f64 {
         let (low, high) = self.values;
+        (high - value) / (high - low) * self.height
+    }
+
+    fn project(&self, (t, value): (f64, f64)) -> Point {
         let tenths = |x: f64| libm::rint(x * 10.0).clamp(-FURTHEST, FURTHEST) as i32;
-        (
-            tenths((t - first) / (last - first).max(1e-9) * self.width),
-            tenths((high - value) / (high - low) * self.height),
-        )
+        (tenths(self.x(t)), tenths(self.y(value)))
     }
 }
 

@@ -1,5 +1,7 @@
 //! Round numbers along an axis.
 
+use super::Scale;
+
 /// Which numbers count as round.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Ladder {
@@ -14,6 +16,14 @@ pub(super) enum Ladder {
 pub(super) struct Ticks(Vec<(f64, Option<String>)>);
 
 impl Ticks {
+    /// Round values on an axis of this scale; which count as round is the ladder's affair on a linear one.
+    pub fn on(scale: Scale, range: (f64, f64), most: usize, ladder: Ladder) -> Self {
+        match scale {
+            Scale::Linear => Self::between(range, most, ladder),
+            Scale::Logarithmic => Self::of_decades(range, most),
+        }
+    }
+
     /// At most about `most` round values in a range.
     pub fn between((low, high): (f64, f64), most: usize, ladder: Ladder) -> Self {
         let step = step((high - low) / most.max(1) as f64, ladder);

@@ -180,12 +180,11 @@ impl Scene {
             _ => path.to_owned(),
         };
         let include = absolute(name_or_path, BUILT_IN.iter().any(|scene| scene.name == name_or_path));
-        let is_built_in = vehicle::BUILT_IN.iter().any(|(name, _)| *name == vehicle);
         vehicle::find(vehicle, Path::new(""), &layers::text_of)
             .map_err(|error| error.field("--vehicle").value(vehicle))?;
         let mut altered = toml::Table::new();
         altered.insert("include".into(), include.into());
-        let vehicle = absolute(vehicle, is_built_in);
+        let vehicle = absolute(vehicle, vehicle::is_built_in(vehicle));
         altered.insert("scene".into(), toml::Table::from_iter([("vehicle".into(), vehicle.into())]).into());
         Self::parse(&scene.name, &altered.to_string())
     }
@@ -264,8 +263,7 @@ impl Scene {
         let text_hash = layers.hash();
         let file: file::SceneFile =
             layers.read(table).map_err(|error| if error.has_file() { error } else { error.file(name) })?;
-        let is_built_in = vehicle::BUILT_IN.iter().any(|(built_in, _)| *built_in == vehicle_name);
-        let vehicle_place = if is_built_in { vehicle_name } else { vehicle_layer };
+        let vehicle_place = if vehicle::is_built_in(&vehicle_name) { vehicle_name } else { vehicle_layer };
         let scene = Self::build(name, file, design, &preset, text_hash).map_err(|error| error.file(name))?;
         Ok(Self { vehicle_place, ..scene })
     }
