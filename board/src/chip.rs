@@ -88,7 +88,7 @@ const UPDATES: &[(&str, Stream)] = &[
     ("TIM8", Stream { controller: 2, number: 1, channel: 7 }),
 ];
 
-/// Reception comes first: its end is the vector to which the firmware's flight task is bound.
+/// Reception comes first: its end is the vector to which the firmware's control loop is bound.
 const SPI1: [&[Stream]; 2] = [
     &[Stream { controller: 2, number: 0, channel: 3 }],
     &[Stream { controller: 2, number: 3, channel: 3 }, Stream { controller: 2, number: 5, channel: 3 }],

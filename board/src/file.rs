@@ -13,10 +13,10 @@ pub struct File {
     pub mcu: String,
     pub crystal_mhz: u32,
     pub imu: Imu,
-    pub compass: Compass,
+    pub magnetometer: Magnetometer,
     pub receiver: Receiver,
     pub battery: Battery,
-    pub light: Option<Light>,
+    pub led: Option<Led>,
     pub motors: BTreeMap<String, Motor>,
 }
 
@@ -37,7 +37,7 @@ pub struct Imu {
 
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Compass {
+pub struct Magnetometer {
     pub i2c: String,
     pub scl: String,
     pub sda: String,
@@ -59,15 +59,15 @@ pub struct Battery {
 
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Light {
+pub struct Led {
     pub pin: String,
-    pub lit: Lit,
+    pub on_level: OnLevel,
 }
 
-/// The level that lights a light.
+/// The level that lights the LED.
 #[derive(Clone, Copy, Debug, Deserialize, PartialEq, Eq)]
 #[serde(rename_all = "kebab-case")]
-pub enum Lit {
+pub enum OnLevel {
     /// Low.
     Low,
     /// High.

@@ -9,7 +9,7 @@ use std::fmt::Write as _;
 
 use input::axes::Axes;
 
-use crate::{Board, Connection, Lit, Motor, Pin, Stream, Timer};
+use crate::{Board, Connection, Motor, OnLevel, Pin, Stream, Timer};
 
 /// First channel that DMA writes, counted from 0, and how many pairs of channels: the two side by side that have all
 /// pads of the timer, or all four.
@@ -80,7 +80,7 @@ impl Board {
         let imu = &self.imu;
         let sck = &imu.bus[0];
         let [receive, send] = imu.streams;
-        let (i2c, serial) = (&self.compass.scl.peripheral, &self.receiver.peripheral);
+        let (i2c, serial) = (&self.magnetometer.scl.peripheral, &self.receiver.peripheral);
         writeln!(out, "pub const TITLE: &str = {:?};", self.title)?;
         writeln!(out, "pub const CRYSTAL_MHZ: u32 = {};", self.crystal_mhz)?;
         writeln!(out, "pub const IMU_MOUNTING: Mat3<f32> = {};", matrix(&imu.axes))?;
@@ -91,10 +91,10 @@ impl Board {
         writeln!(out, "    select: {},\n}};", line(imu.select))?;
         let others: Vec<String> = imu.deselect.iter().map(|&pin| line(pin)).collect();
         writeln!(out, "pub const IMU_DESELECT: [Pin; {}] = [{}];", others.len(), others.join(", "))?;
-        writeln!(out, "pub const COMPASS: bus::Wiring = bus::Wiring {{")?;
+        writeln!(out, "pub const MAGNETOMETER: bus::Wiring = bus::Wiring {{")?;
         writeln!(out, "    i2c: pac::{i2c}::PTR,")?;
-        writeln!(out, "    scl: {},", line(self.compass.scl.pin))?;
-        writeln!(out, "    sda: {},\n}};", line(self.compass.sda.pin))?;
+        writeln!(out, "    scl: {},", line(self.magnetometer.scl.pin))?;
+        writeln!(out, "    sda: {},\n}};", line(self.magnetometer.sda.pin))?;
         let on_apb2 = matches!(serial.as_str(), "USART1" | "USART6");
         writeln!(
             out,
@@ -106,8 +106,8 @@ impl Board {
         writeln!(out, "pub const READY_INTERRUPT: Interrupt = Interrupt::{vector};")?;
         writeln!(out, "pub const BATTERY_CHANNEL: u8 = {};", self.battery.channel)?;
         writeln!(out, "pub const BATTERY_RATIO: f32 = {:?};", self.battery.ratio)?;
-        let lit = self.light.map_or(Lit::Low, |light| light.lit);
-        writeln!(out, "pub const LIT: PinState = PinState::{lit:?};")?;
+        let on_level = self.led.map_or(OnLevel::Low, |led| led.on_level);
+        writeln!(out, "pub const LED_ON: PinState = PinState::{on_level:?};")?;
         self.write_motors(out)?;
         self.write_parts(out)?;
         self.write_proofs(out)?;
@@ -175,14 +175,14 @@ impl Board {
             ("imu_mosi", mosi.pin),
             ("imu_select", imu.select),
             ("imu_ready", imu.ready),
-            ("compass_scl", self.compass.scl.pin),
-            ("compass_sda", self.compass.sda.pin),
+            ("magnetometer_scl", self.magnetometer.scl.pin),
+            ("magnetometer_sda", self.magnetometer.sda.pin),
             ("receiver_rx", self.receiver.pin),
             ("battery", self.battery.pin),
         ];
         let peripherals = [
             ("imu_spi", sck.peripheral.as_str()),
-            ("_compass_i2c", self.compass.scl.peripheral.as_str()),
+            ("_magnetometer_i2c", self.magnetometer.scl.peripheral.as_str()),
             ("_receiver_serial", self.receiver.peripheral.as_str()),
         ];
         let fixed = [
@@ -203,9 +203,9 @@ impl Board {
         for (name, pin) in pins {
             writeln!(out, "    pub {name}: gpio::{pin},")?;
         }
-        // Of a board without a light it is any pin's type, of which there is none.
-        let light = self.light.map_or(imu.select, |light| light.pin);
-        writeln!(out, "    pub light: Option<gpio::{light}>,")?;
+        // Of a board without a LED it is any pin's type, of which there is none.
+        let led = self.led.map_or(imu.select, |led| led.pin);
+        writeln!(out, "    pub led: Option<gpio::{led}>,")?;
         let motor_pins: Vec<String> =
             self.motors.iter().map(|motor| format!("gpio::{}", motor.connection.pin)).collect();
         writeln!(out, "    pub _motors: ({}),", motor_pins.join(", "))?;
@@ -215,7 +215,7 @@ impl Board {
             .map(|(_, pin)| pin)
             .into_iter()
             .chain(imu.deselect.iter().copied())
-            .chain(self.light.map(|light| light.pin))
+            .chain(self.led.map(|led| led.pin))
             .chain(self.motors.iter().map(|motor| motor.connection.pin));
         for letter in ports(all) {
             let name = format!("gpio{}", letter.to_ascii_lowercase());
@@ -234,9 +234,9 @@ impl Board {
         for (name, pin) in pins {
             writeln!(out, "        {name}: {},", taken(pin))?;
         }
-        match self.light {
-            Some(light) => writeln!(out, "        light: Some({}),", taken(light.pin))?,
-            None => writeln!(out, "        light: None,")?,
+        match self.led {
+            Some(led) => writeln!(out, "        led: Some({}),", taken(led.pin))?,
+            None => writeln!(out, "        led: None,")?,
         }
         let motor_pins: Vec<String> = self.motors.iter().map(|motor| taken(motor.connection.pin)).collect();
         writeln!(out, "        _motors: ({}),", motor_pins.join(", "))?;
@@ -245,10 +245,10 @@ impl Board {
         writeln!(out, "pub fn connect_receiver(rx: gpio::{pin}, rcc: &mut Rcc) {{")?;
         writeln!(out, "    rx.into_alternate::<{function}>().set_internal_resistor(gpio::Pull::Up);")?;
         writeln!(out, "    pac::{peripheral}::enable(rcc);\n}}")?;
-        let (scl, sda) = (&self.compass.scl, &self.compass.sda);
+        let (scl, sda) = (&self.magnetometer.scl, &self.magnetometer.sda);
         writeln!(
             out,
-            "pub fn connect_compass(scl: gpio::{}, sda: gpio::{}, rcc: &mut Rcc) {{",
+            "pub fn connect_magnetometer(scl: gpio::{}, sda: gpio::{}, rcc: &mut Rcc) {{",
             scl.pin, sda.pin
         )?;
         writeln!(out, "    scl.into_alternate_open_drain::<{}>();", scl.function)?;
@@ -269,7 +269,7 @@ impl Board {
             format!("    fits::<gpio::{}, gpio::alt::{module}::{signal}>();", connection.pin)
         };
         writeln!(out, "const _: () = {{")?;
-        for connection in [sck, miso, mosi, &self.compass.scl, &self.compass.sda, &self.receiver] {
+        for connection in [sck, miso, mosi, &self.magnetometer.scl, &self.magnetometer.sda, &self.receiver] {
             writeln!(out, "{}", fits(connection, &camel(connection.signal)))?;
         }
         for motor in &self.motors {

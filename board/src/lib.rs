@@ -20,11 +20,11 @@ use std::path::Path;
 
 use input::InputError;
 use input::axes::Axes;
-use input::check::{unknown, within};
+use input::check::{in_range, unknown};
 use input::layers::{Layers, built_in_or_file, text_of};
 
 pub use chip::Stream;
-pub use file::Lit;
+pub use file::OnLevel;
 
 macro_rules! boards {
     ($($name:literal),+ $(,)?) => {
@@ -112,7 +112,7 @@ pub struct Imu {
 
 /// Where a magnetometer can be plugged in.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Compass {
+pub struct Magnetometer {
     /// Clock.
     pub scl: Connection,
     /// Data.
@@ -130,13 +130,13 @@ pub struct Battery {
     pub ratio: f64,
 }
 
-/// A light.
+/// The LED.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Light {
+pub struct Led {
     /// Its pin.
     pub pin: Pin,
     /// The level that lights it.
-    pub lit: Lit,
+    pub on_level: OnLevel,
 }
 
 /// A motor pad.
@@ -177,13 +177,13 @@ pub struct Board {
     /// The inertial sensor.
     pub imu: Imu,
     /// The magnetometer's bus.
-    pub compass: Compass,
+    pub magnetometer: Magnetometer,
     /// Where the receiver's bytes come in.
     pub receiver: Connection,
     /// The battery.
     pub battery: Battery,
-    /// The light, if there is one.
-    pub light: Option<Light>,
+    /// The LED, if there is one.
+    pub led: Option<Led>,
     /// The motor pads, in the order of [`PADS`].
     pub motors: [Motor; 4],
     /// Their timers, in the order in which the firmware starts them: the last one is that of the last pad.
@@ -266,11 +266,11 @@ fn build(name: &str, file: file::File) -> Result<Board, InputError> {
     if file.mcu != "stm32f405" {
         return Err(unknown("mcu", &file.mcu, ["stm32f405"]));
     }
-    within("crystal_mhz", f64::from(file.crystal_mhz), 4.0, 26.0, "MHz")?;
+    in_range("crystal_mhz", f64::from(file.crystal_mhz), 4.0, 26.0, "MHz")?;
     if file.imu.chip != "icm-42688-p" {
         return Err(unknown("imu.chip", &file.imu.chip, ["icm-42688-p"]));
     }
-    // The flight task is bound to the end of its bursts.
+    // The control loop is bound to the end of its bursts.
     if file.imu.spi != "SPI1" {
         return Err(unknown("imu.spi", &file.imu.spi, ["SPI1"]));
     }
@@ -291,10 +291,10 @@ fn build(name: &str, file: file::File) -> Result<Board, InputError> {
         let valid = chip::peripherals(kinds, signal);
         if valid.contains(&value) { Ok(()) } else { Err(unknown(field, value, valid)) }
     };
-    one_of("compass.i2c", &file.compass.i2c, &["I2C"], "SCL")?;
-    let compass = Compass {
-        scl: pins.connect("compass.scl", &file.compass.scl, &file.compass.i2c, "SCL")?,
-        sda: pins.connect("compass.sda", &file.compass.sda, &file.compass.i2c, "SDA")?,
+    one_of("magnetometer.i2c", &file.magnetometer.i2c, &["I2C"], "SCL")?;
+    let magnetometer = Magnetometer {
+        scl: pins.connect("magnetometer.scl", &file.magnetometer.scl, &file.magnetometer.i2c, "SCL")?,
+        sda: pins.connect("magnetometer.sda", &file.magnetometer.sda, &file.magnetometer.i2c, "SDA")?,
     };
     one_of("receiver.serial", &file.receiver.serial, &["USART", "UART"], "RX")?;
     let receiver = pins.connect("receiver.rx", &file.receiver.rx, &file.receiver.serial, "RX")?;
@@ -305,10 +305,10 @@ fn build(name: &str, file: file::File) -> Result<Board, InputError> {
             .field("battery.pin")
             .value(&file.battery.pin)
     })?;
-    within("battery.ratio", file.battery.ratio, 1.0, 50.0, "V for one at the pin")?;
+    in_range("battery.ratio", file.battery.ratio, 1.0, 50.0, "V for one at the pin")?;
     let battery = Battery { pin, channel, ratio: file.battery.ratio };
-    let light = match &file.light {
-        Some(light) => Some(Light { pin: pins.take("light.pin", &light.pin)?, lit: light.lit }),
+    let led = match &file.led {
+        Some(led) => Some(Led { pin: pins.take("led.pin", &led.pin)?, on_level: led.on_level }),
         None => None,
     };
 
@@ -331,10 +331,10 @@ fn build(name: &str, file: file::File) -> Result<Board, InputError> {
         sources: file.sources,
         crystal_mhz: file.crystal_mhz,
         imu: Imu { bus, select, deselect, ready, streams: [streams[0], streams[1]], axes },
-        compass,
+        magnetometer,
         receiver,
         battery,
-        light,
+        led,
         motors,
         timers,
     })

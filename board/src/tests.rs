@@ -44,7 +44,7 @@ fn pads_are_those_of_ardupilots_pin_lists() {
     }
 }
 
-/// The rest of those lists: pins of the sensors, the receiver, the battery and the light; its scale.
+/// The rest of those lists: pins of the sensors, the receiver, the battery and the LED; its scale.
 #[test]
 fn pins_are_those_of_ardupilots_pin_lists() {
     for (name, pins, ratio) in [
@@ -56,12 +56,12 @@ fn pins_are_those_of_ardupilots_pin_lists() {
         let bus = board.imu.bus.iter().map(|connection| connection.pin);
         let rest = [
             board.imu.select,
-            board.compass.scl.pin,
-            board.compass.sda.pin,
+            board.magnetometer.scl.pin,
+            board.magnetometer.sda.pin,
             board.receiver.pin,
             board.battery.pin,
         ];
-        let all = bus.chain(rest).chain(board.light.map(|light| light.pin)).chain(board.imu.deselect);
+        let all = bus.chain(rest).chain(board.led.map(|led| led.pin)).chain(board.imu.deselect);
         let all: Vec<String> = all.map(|pin| pin.to_string()).collect();
         assert_eq!(all.join(" "), pins);
         assert_eq!(board.battery.ratio, ratio);
@@ -98,21 +98,21 @@ fn streams_follow_from_the_timers() {
 fn conflicts_are_refused_by_name() {
     let v4 = "speedybee-f405-v4";
     for (old, new, error) in [
-        ("\"PC13\"", "\"PC4\"", "x.toml: light.pin = PC4: is imu.ready's pin already"),
+        ("\"PC13\"", "\"PC4\"", "x.toml: led.pin = PC4: is imu.ready's pin already"),
         (
             "\"PC13\"",
             "\"PA14\"",
-            "x.toml: light.pin = PA14: is a pin of the debug probe, which would lose the board",
+            "x.toml: led.pin = PA14: is a pin of the debug probe, which would lose the board",
         ),
         (
             "\"PC13\"",
             "\"PE3\"",
-            "x.toml: light.pin = PE3: must be a pin of the STM32F405RG: PA0 to PC15, or PD2",
+            "x.toml: led.pin = PE3: must be a pin of the STM32F405RG: PA0 to PC15, or PD2",
         ),
         (
             "\"PC13\"",
             "\"PC013\"",
-            "x.toml: light.pin = PC013: must be a pin of the STM32F405RG: PA0 to PC15, or PD2",
+            "x.toml: led.pin = PC013: must be a pin of the STM32F405RG: PA0 to PC15, or PD2",
         ),
         (
             "{ pin = \"PB0\", timer = \"TIM3\"",
@@ -158,7 +158,7 @@ fn conflicts_are_refused_by_name() {
     ] {
         assert_eq!(refused(v4, old, new), error);
     }
-    assert!(refused(v4, "[light]", "[lihgt]").contains("did you mean `light`"));
+    assert!(refused(v4, "[led]", "[lde]").contains("did you mean `led`"));
     assert!(parsed("").is_err());
     let named = Board::load("matek-f405").unwrap_err().to_string();
     assert!(named.contains("did you mean `matek-f405-te`"), "{named}");

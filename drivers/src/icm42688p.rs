@@ -12,7 +12,7 @@
 //! it succeeds; [`Recovery`] says when it must be done again.
 //!
 //! # Sampling by DMA
-//! Once the sensor is set up, the board may send [`BURST`] by itself whenever the data-ready line rises, and hand
+//! Once the sensor is set up, the board may send [`BURST_READ`] by itself whenever the data-ready line rises, and hand
 //! what comes back to [`decode`].
 //!
 //! ```text
@@ -98,11 +98,11 @@ const RESERVED: u8 = 0x80;
 /// Bytes of a burst: the address, twelve of data, two of a time that is not used, INT_STATUS.
 pub const FRAME_LEN: usize = 16;
 
-/// What comes back for [`BURST`].
+/// What comes back for [`BURST_READ`].
 pub type Frame = [u8; FRAME_LEN];
 
 /// What is sent in a burst.
-pub const BURST: Frame = {
+pub const BURST_READ: Frame = {
     let mut sent = [0; FRAME_LEN];
     sent[0] = ACCEL_DATA_X1.address | READ;
     sent
@@ -194,7 +194,7 @@ impl<SPI: SpiDevice> Icm42688p<SPI> {
     /// # Errors
     /// The bus's.
     pub fn read_frame(&mut self) -> Result<Frame, SPI::Error> {
-        let mut frame = BURST;
+        let mut frame = BURST_READ;
         self.spi.transfer_in_place(&mut frame)?;
         Ok(frame)
     }

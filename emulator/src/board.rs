@@ -5,7 +5,7 @@ use std::ops::Range;
 use std::path::Path;
 use std::sync::Arc;
 
-use ::board::Lit;
+use ::board::OnLevel;
 use input::InputError;
 use input::axes::Axes;
 use rigless::cpu::armv7m as cpu;
@@ -25,10 +25,10 @@ use vehicle::Vehicle;
 
 use crate::chip::exti::PVD_LINE;
 use crate::chip::stm32f405::{PORTS, Stm32f405, TimerPlace};
-use crate::compass::Compass;
 use crate::imu::Imu;
+use crate::magnetometer::Magnetometer;
 use crate::pads::{Line, PADS};
-use crate::radio::{Protocol, Radio};
+use crate::rc_receiver::{Protocol, RcReceiver};
 use crate::timing::{HANDLERS, Handler, INSTRUCTIONS_PER_SECOND, handlers};
 
 /// The core's clock once the firmware has set it up, which times SysTick, Hz.
@@ -110,13 +110,13 @@ pub struct Wiring {
     /// Largest bit rate that it takes.
     pub imu_max_hz: u64,
     /// How the magnetometer lies in the vehicle.
-    pub compass_axes: Axes,
+    pub magnetometer_axes: Axes,
     /// Bits a second on its bus.
-    pub compass_hz: u64,
+    pub magnetometer_hz: u64,
     /// Its I2C, 0 for I2C1.
-    pub compass_i2c: usize,
+    pub magnetometer_i2c: usize,
     /// Serial port of the receiver, by its place in `rigless`'s list.
-    pub radio_usart: usize,
+    pub receiver_usart: usize,
     /// The motor pads.
     pub pads: [Pad; PADS],
     /// The other pins of peripherals.
@@ -144,8 +144,8 @@ impl Wiring {
             connection(miso, Drive::PushPull),
             connection(mosi, Drive::PushPull),
             connection(&board.receiver, Drive::PulledUp),
-            connection(&board.compass.scl, Drive::OpenDrain),
-            connection(&board.compass.sda, Drive::OpenDrain),
+            connection(&board.magnetometer.scl, Drive::OpenDrain),
+            connection(&board.magnetometer.sda, Drive::OpenDrain),
         ];
         let pads = board.motors.each_ref().map(|motor| Pad {
             name: motor.pad,
@@ -157,14 +157,17 @@ impl Wiring {
             rotor: motor.rotor,
         });
         let serial = board.receiver.peripheral.as_str();
-        let compass_i2c = board.compass.scl.peripheral.trim_start_matches("I2C").parse::<usize>();
+        let magnetometer_i2c = board.magnetometer.scl.peripheral.trim_start_matches("I2C").parse::<usize>();
         Self {
             imu_axes: board.imu.axes.within(&vehicle.board_axes),
             imu_max_hz: 24_000_000,
-            compass_axes: vehicle.compass_axes,
-            compass_hz: 400_000,
-            compass_i2c: compass_i2c.expect("I2C1 to I2C3") - 1,
-            radio_usart: SERIAL_PORTS.iter().position(|port| port.instance == serial).expect("a serial port"),
+            magnetometer_axes: vehicle.magnetometer_axes,
+            magnetometer_hz: 400_000,
+            magnetometer_i2c: magnetometer_i2c.expect("I2C1 to I2C3") - 1,
+            receiver_usart: SERIAL_PORTS
+                .iter()
+                .position(|port| port.instance == serial)
+                .expect("a serial port"),
             handlers: handlers(board.ready_vector(), serial),
             pads,
             connections,
@@ -227,7 +230,7 @@ pub struct Machine {
     data_held: bool,
     /// Clocks after which the sensor lets the data line go.
     clocks_left: Option<u32>,
-    compass_clock: bool,
+    magnetometer_clock: bool,
     functions: [Option<Level>; PADS],
     /// The ports do not know the functions yet.
     stale: bool,
@@ -251,8 +254,8 @@ impl Machine {
             Imu::new(),
             Select { port: PORTS[select.port], pin: pin_of(select), active: Level::Low },
         );
-        part.i2c[wiring.compass_i2c].interface.attach(Compass::new());
-        part.usart[wiring.radio_usart].attach(Radio::new(protocol));
+        part.i2c[wiring.magnetometer_i2c].interface.attach(Magnetometer::new());
+        part.usart[wiring.receiver_usart].attach(RcReceiver::new(protocol));
         for adc in &mut part.adc {
             adc.set_reference(SUPPLY_MV);
             adc.set_backup_battery(SUPPLY_MV);
@@ -269,7 +272,7 @@ impl Machine {
             supply_low: false,
             data_held: false,
             clocks_left: None,
-            compass_clock: true,
+            magnetometer_clock: true,
             functions: [None; PADS],
             stale: false,
             now: VirtualNanos(0),
@@ -297,20 +300,21 @@ impl Machine {
     }
 
     /// The magnetometer.
-    pub fn compass(&mut self) -> &mut Compass {
-        self.part.i2c[self.wiring.compass_i2c].interface.chip_mut(0).expect("it was attached")
+    pub fn magnetometer(&mut self) -> &mut Magnetometer {
+        self.part.i2c[self.wiring.magnetometer_i2c].interface.chip_mut(0).expect("it was attached")
     }
 
-    /// Whether the magnetometer goes on to send ([`Compass::sends_on`]).
-    pub fn compass_sends_on(&self) -> bool {
-        let peer = self.part.i2c[self.wiring.compass_i2c].interface.peer();
-        let compass: Option<&Compass> = peer.and_then(|peer| (peer as &dyn std::any::Any).downcast_ref());
-        compass.is_some_and(Compass::sends_on)
+    /// Whether the magnetometer goes on to send ([`Magnetometer::sends_on`]).
+    pub fn magnetometer_sends_on(&self) -> bool {
+        let peer = self.part.i2c[self.wiring.magnetometer_i2c].interface.peer();
+        let magnetometer: Option<&Magnetometer> =
+            peer.and_then(|peer| (peer as &dyn std::any::Any).downcast_ref());
+        magnetometer.is_some_and(Magnetometer::sends_on)
     }
 
     /// The receiver.
-    pub fn radio(&mut self) -> &mut Radio {
-        self.part.usart[self.wiring.radio_usart].chip_mut().expect("it was attached")
+    pub fn receiver(&mut self) -> &mut RcReceiver {
+        self.part.usart[self.wiring.receiver_usart].chip_mut().expect("it was attached")
     }
 
     /// The battery, V.
@@ -321,48 +325,48 @@ impl Machine {
     }
 
     /// Something holds the I2C data line low, or lets it go.
-    pub fn hold_compass_bus(&mut self, held: bool) {
-        self.part.i2c[self.wiring.compass_i2c].held_low = held;
+    pub fn hold_magnetometer_bus(&mut self, held: bool) {
+        self.part.i2c[self.wiring.magnetometer_i2c].held_low = held;
         self.clocks_left = None;
     }
 
     /// The magnetometer was cut off in the middle of a byte: it holds the data line low until it has got so many clocks.
-    pub fn hold_compass_bus_for(&mut self, clocks: u32) {
-        self.hold_compass_bus(true);
+    pub fn hold_magnetometer_bus_for(&mut self, clocks: u32) {
+        self.hold_magnetometer_bus(true);
         self.clocks_left = Some(clocks);
     }
 
     /// Whether nobody holds the magnetometer's data line.
-    pub fn compass_bus_is_free(&self) -> bool {
-        !self.part.i2c[self.wiring.compass_i2c].held_low
+    pub fn magnetometer_bus_is_free(&self) -> bool {
+        !self.part.i2c[self.wiring.magnetometer_i2c].held_low
     }
 
     /// Follows the magnetometer's clock line where the firmware moves it by the pin itself.
-    fn follow_compass_clock(&mut self) {
+    fn follow_magnetometer_clock(&mut self) {
         use rigless::soc::stm32f427::generated::gpioa::Register;
-        let wire = Wire::from(self.wiring.board.compass.scl.pin);
+        let wire = Wire::from(self.wiring.board.magnetometer.scl.pin);
         let (_, registers) = self.part.port(wire.port);
         let driven = registers.get(Register::Moder) >> (2 * wire.pin) & 3 == 1;
         let high = !driven || registers.get(Register::Odr) >> wire.pin & 1 == 1;
-        let was = std::mem::replace(&mut self.compass_clock, high);
+        let was = std::mem::replace(&mut self.magnetometer_clock, high);
         let rose = high && !was;
         let Some(clocks) = self.clocks_left.filter(|_| rose) else { return };
         self.clocks_left = clocks.checked_sub(1).filter(|left| *left > 0);
         if self.clocks_left.is_none() {
-            self.hold_compass_bus(false);
-            self.compass().finish();
+            self.hold_magnetometer_bus(false);
+            self.magnetometer().finish();
         }
     }
 
-    /// Whether the light is lit; nobody drives it before the firmware does, and a board may have none.
+    /// Whether the LED is lit; nobody drives it before the firmware does, and a board may have none.
     pub fn lit(&self) -> bool {
         use rigless::soc::stm32f427::generated::gpioa::Register;
-        let Some(light) = self.wiring.board.light else { return false };
-        let wire = Wire::from(light.pin);
+        let Some(led) = self.wiring.board.led else { return false };
+        let wire = Wire::from(led.pin);
         let (_, registers) = self.part.port(wire.port);
         let output = registers.get(Register::Moder) >> (2 * wire.pin) & 3 == 1;
         let high = registers.get(Register::Odr) >> wire.pin & 1 == 1;
-        output && high == (light.lit == Lit::High)
+        output && high == (led.on_level == OnLevel::High)
     }
 
     /// The supply of the microcontroller, mV.
@@ -374,8 +378,8 @@ impl Machine {
     /// bits. Bytes that arrive at another port are garbled.
     pub fn check_radio_line(&mut self) {
         use rigless::soc::stm32f427::generated::usart6::{Register, cr1, cr2};
-        let line = self.radio().protocol.line();
-        let instance = SERIAL_PORTS[self.wiring.radio_usart].instance;
+        let line = self.receiver().protocol.line();
+        let instance = SERIAL_PORTS[self.wiring.receiver_usart].instance;
         let Some(registers) = self.part.bus().registers(instance) else { return };
         let divider = registers.get(Register::Brr);
         let (control, stop) = (registers.get(Register::Cr1), registers.get(Register::Cr2));
@@ -387,13 +391,13 @@ impl Machine {
             && cr1::M.is_set(control) == line.parity
             && !cr1::PS.is_set(control)
             && (cr2::STOP.get(stop) == 2) == (line.stop_bits == 2);
-        let framing = &mut self.part.usart[self.wiring.radio_usart].errors_mut().framing;
+        let framing = &mut self.part.usart[self.wiring.receiver_usart].errors_mut().framing;
         framing.per_million = if right { 0 } else { 1_000_000 };
     }
 
     /// Follows the pads at `now`.
     pub fn follow_pads(&mut self, now: VirtualNanos) {
-        self.follow_compass_clock();
+        self.follow_magnetometer_clock();
         for (n, pad) in self.wiring.pads.iter().enumerate() {
             let pin = pin_of(pad.wire);
             let output = self.part.timer_output(pad.timer, pad.channel, pad.complementary);
@@ -465,7 +469,7 @@ impl Mcu for Machine {
         self.data_held = false;
         self.functions = [None; PADS];
         self.stale = false;
-        self.compass().finish();
+        self.magnetometer().finish();
         self.follow_pads(at);
     }
 
@@ -480,10 +484,10 @@ impl Mcu for Machine {
                 gpio.drive(pin_of(wire), Some(Level::from(high)), registers, context);
             });
         }
-        let held = self.part.i2c[self.wiring.compass_i2c].held_low;
+        let held = self.part.i2c[self.wiring.magnetometer_i2c].held_low;
         if self.data_held != held {
             self.data_held = held;
-            let wire = Wire::from(self.wiring.board.compass.sda.pin);
+            let wire = Wire::from(self.wiring.board.magnetometer.sda.pin);
             self.part.drive_port(now, wire.port, |gpio, registers, context| {
                 gpio.drive(pin_of(wire), held.then_some(Level::Low), registers, context);
             });

@@ -6,7 +6,7 @@ use rigless::time::VirtualNanos;
 
 use crate::board::{Machine, SUPPLY_MV};
 use crate::firmware::Firmware;
-use crate::radio::Protocol;
+use crate::rc_receiver::Protocol;
 
 /// A fault, or its end.
 #[derive(Clone, Debug, PartialEq)]
@@ -20,11 +20,11 @@ pub enum Fault {
     /// Its data-ready line stands at this level.
     ReadyStuck(Option<bool>),
     /// The magnetometer is off its connector.
-    CompassAbsent(bool),
+    MagnetometerAbsent(bool),
     /// Something holds the magnetometer's data line low.
-    CompassBusHeld(bool),
+    MagnetometerBusHeld(bool),
     /// It was cut off in the middle of a byte, and holds its data line low until it has got so many clocks.
-    CompassCutOff(u32),
+    MagnetometerCutOff(u32),
     /// The memory address of this stream of DMA2, which moves the inertial sensor's bytes, is one where nothing is, or is
     /// the right one again.
     StreamAstray(usize, bool),
@@ -67,7 +67,7 @@ const RAM: std::ops::Range<u64> = 0x2000_0000..0x2002_0000;
 /// Faults that last.
 pub struct Active {
     /// The magnetometer is off.
-    pub compass_absent: bool,
+    pub magnetometer_absent: bool,
     /// The receiver is silent.
     pub radio_silent: bool,
     /// The battery's voltage.
@@ -83,7 +83,7 @@ impl Active {
     /// Nothing is wrong yet.
     pub fn new(firmware: &Firmware) -> Self {
         Self {
-            compass_absent: false,
+            magnetometer_absent: false,
             radio_silent: false,
             battery_v: None,
             garbage_until_ns: 0,
@@ -103,12 +103,12 @@ impl Active {
             Fault::ImuResetsItself => machine.imu().reset_itself(),
             Fault::ImuFlips(every) => machine.imu().faults.flip_every = every,
             Fault::ReadyStuck(level) => machine.imu().faults.stuck_line = level,
-            Fault::CompassAbsent(absent) => {
-                self.compass_absent = absent;
-                machine.compass().absent = absent;
+            Fault::MagnetometerAbsent(absent) => {
+                self.magnetometer_absent = absent;
+                machine.magnetometer().absent = absent;
             }
-            Fault::CompassBusHeld(held) => machine.hold_compass_bus(held),
-            Fault::CompassCutOff(clocks) => machine.hold_compass_bus_for(clocks),
+            Fault::MagnetometerBusHeld(held) => machine.hold_magnetometer_bus(held),
+            Fault::MagnetometerCutOff(clocks) => machine.hold_magnetometer_bus_for(clocks),
             Fault::StreamAstray(stream, astray) => machine.part.lead_stream_astray(stream, astray),
             // Of the session, which this does not have.
             Fault::ResetPin | Fault::AllInterrupts => unreachable!("the flight carries it out"),
@@ -167,17 +167,17 @@ impl Active {
 
     /// What lasts, at each stop.
     pub fn run(&mut self, machine: &mut Machine, now_ns: u64) {
-        if now_ns < self.garbage_until_ns && machine.radio().is_idle() {
+        if now_ns < self.garbage_until_ns && machine.receiver().is_idle() {
             // xorshift32 (Marsaglia 2003).
             self.random ^= self.random << 13;
             self.random ^= self.random >> 17;
             self.random ^= self.random << 5;
-            let pause_ns = match machine.radio().protocol {
+            let pause_ns = match machine.receiver().protocol {
                 Protocol::Crsf => u64::from(self.random >> 24) * 10_000,
                 Protocol::Sbus => u64::from(self.random >> 24) * 40_000,
             };
             let bytes = self.random.to_le_bytes();
-            machine.radio().send_bytes(bytes, now_ns + pause_ns);
+            machine.receiver().send_bytes(bytes, now_ns + pause_ns);
         }
     }
 }

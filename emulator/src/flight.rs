@@ -35,7 +35,7 @@ use crate::firmware::Firmware;
 use crate::gaps;
 use crate::log::Log;
 use crate::pads::{Esc, Line, PADS};
-use crate::radio::Protocol;
+use crate::rc_receiver::Protocol;
 use crate::rules::Rules;
 use crate::timing::{HANDLERS, Timing};
 use crate::vectors::Vectors;
@@ -56,7 +56,7 @@ pub struct Settings<'a> {
     /// The board.
     pub wiring: Arc<Wiring>,
     /// What the receiver speaks.
-    pub radio: Protocol,
+    pub receiver: Protocol,
     /// What is in the board's configuration sector.
     pub config: Option<Config>,
     /// The firmware's log goes to standard error as it comes.
@@ -103,8 +103,8 @@ pub struct Flown {
     pub timing: Timing,
     /// What was flown: the board in the vehicle.
     pub wiring: Arc<Wiring>,
-    /// When the light changed (s), and whether it was lit from then on.
-    pub light: Vec<(f64, bool)>,
+    /// When the LED changed (s), and whether it was lit from then on.
+    pub led: Vec<(f64, bool)>,
     /// The emulator stopped by itself, and why.
     pub broken_off: Option<String>,
 }
@@ -119,7 +119,7 @@ pub fn fly(
     settings: Settings<'_>,
     observer: Option<FlightLog>,
 ) -> Result<(Flown, Option<FlightLog>), InputError> {
-    let board = FlightBoard::new(settings.wiring.clone(), settings.radio)
+    let board = FlightBoard::new(settings.wiring.clone(), settings.receiver)
         .map_err(|error| InputError::new(format!("the board does not assemble: {error}")))?;
     let mut images = vec![settings.firmware.image()?];
     if let Some(config) = &settings.config {
@@ -174,7 +174,7 @@ pub fn fly(
         returns,
         sleeps,
         timing: Timing::default(),
-        light: vec![(0.0, false)],
+        led: vec![(0.0, false)],
         rules: Rules::new(settings.wiring.clone()),
         astray: false,
         arms_by_ns: match &scene.pilot {
@@ -213,7 +213,7 @@ pub fn fly(
         missed_deadlines: pilot.missed_deadlines,
         instructions: stop.map_or(0, |stop| stop.instruction_count),
         gaps: gaps::list(&session, &pilot.in_ccm, &pilot.rules),
-        unserved: pilot.vectors.into_complaints(),
+        unserved: pilot.vectors.into_violations(),
         states: pilot.states,
         records: pilot.records,
         pads_floated_until_ns: pilot.floated_until_ns,
@@ -222,7 +222,7 @@ pub fn fly(
         log: pilot.log.into_lines(),
         timing: pilot.timing,
         wiring: pilot.wiring,
-        light: pilot.light,
+        led: pilot.led,
         broken_off,
     };
     Ok((flight, observer))
@@ -279,7 +279,7 @@ struct Pilot {
     returns: BTreeMap<u64, usize>,
     sleeps: Vec<u64>,
     timing: Timing,
-    light: Vec<(f64, bool)>,
+    led: Vec<(f64, bool)>,
     rules: Rules,
     astray: bool,
     /// From then on nothing that is wrong is waited out.
@@ -384,7 +384,7 @@ impl Pilot {
         let input = self.world.sense();
         self.stepped_ns = now_ns;
         machine.check_radio_line();
-        machine.radio().forget_before(now_ns.saturating_sub(STEP_NS));
+        machine.receiver().forget_before(now_ns.saturating_sub(STEP_NS));
         if let Some(sample) = input.imu {
             let axes = &self.wiring.imu_axes;
             let imu = machine.imu();
@@ -397,11 +397,11 @@ impl Pilot {
             machine.imu().withhold();
         }
         if let Some(sample) = input.mag {
-            machine.compass().measure(to_chip(&self.wiring.compass_axes, sample.counts));
+            machine.magnetometer().measure(to_chip(&self.wiring.magnetometer_axes, sample.counts));
         }
         // It samples every 10 ms; a scene in which it is dead brings none.
         if input.time_us.is_multiple_of(10_000) {
-            machine.compass().absent = input.mag.is_none() || self.active.compass_absent;
+            machine.magnetometer().absent = input.mag.is_none() || self.active.magnetometer_absent;
         }
         if let Some(battery) = input.battery {
             machine.set_battery(self.active.battery_v.unwrap_or(f64::from(battery.voltage_v)));
@@ -417,7 +417,7 @@ impl Pilot {
     fn send(&mut self, machine: &mut Machine, rc: &RcFrame, now_ns: u64) {
         // The receiver's clock is not the sensor's: its frames move along the samples, by 37 ppm here.
         let phase_ns = now_ns / 1_000 * 37 / 1_000 % STEP_NS;
-        machine.radio().send(rc, &self.channels, now_ns + phase_ns);
+        machine.receiver().send(rc, &self.channels, now_ns + phase_ns);
     }
 }
 
@@ -515,8 +515,8 @@ impl Driver<FlightBoard> for Pilot {
             }
             self.step(machine, now_ns, sampled);
             self.rules.look(machine, now_ns as f64 * 1e-9);
-            if self.light.last().is_some_and(|(_, lit)| *lit != machine.lit()) {
-                self.light.push((now_ns as f64 * 1e-9, machine.lit()));
+            if self.led.last().is_some_and(|(_, lit)| *lit != machine.lit()) {
+                self.led.push((now_ns as f64 * 1e-9, machine.lit()));
             }
             if self.done {
                 self.log.fetch(host);
@@ -526,7 +526,7 @@ impl Driver<FlightBoard> for Pilot {
         let next_step = machine.imu().next_sample_ns().filter(|&at| at > now_ns);
         let mut next = next_step.unwrap_or(self.stepped_ns + STEP_NS).max(now_ns + 1);
         // One that begins now, or that nobody has listened to, is no reason to stop again.
-        if let Some(at) = machine.radio().next_byte_ns(now_ns) {
+        if let Some(at) = machine.receiver().next_byte_ns(now_ns) {
             next = next.min(at);
         }
         if let Some((at, _)) = self.faults.last() {

@@ -44,7 +44,7 @@ pub fn list(
     for ((controller, stream), from) in in_ccm {
         gaps.push(format!("DMA{controller} stream {stream} reaches for the CCM, from {from:#010x}"));
     }
-    gaps.extend(rules.complaints());
+    gaps.extend(rules.violations());
     gaps.retain(|gap| !explained().any(|known| gap.starts_with(known)));
     gaps
 }

@@ -10,7 +10,7 @@
 //! |---|---|
 //! | [`chip`] | the microcontroller: `rigless`'s models of its peripherals, and what they lack |
 //! | [`board`] | the wiring table of a board, and the chips at its pins |
-//! | [`imu`], [`compass`], [`radio`] | the chips, with what can go wrong with them |
+//! | [`imu`], [`magnetometer`], [`receiver`] | the chips, with what can go wrong with them |
 //! | [`pads`] | what an ESC makes of the edges at its pad |
 //! | [`flight`] | the flight: the world on the one side, the board on the other |
 //! | [`faults`] | what goes wrong in a flight |
@@ -26,15 +26,15 @@
 
 pub mod board;
 pub mod chip;
-pub mod compass;
 pub mod faults;
 pub mod firmware;
 pub mod flight;
 pub mod gaps;
 pub mod imu;
 pub mod log;
+pub mod magnetometer;
 pub mod pads;
-pub mod radio;
+pub mod rc_receiver;
 pub mod replay;
 pub mod rules;
 pub mod timing;

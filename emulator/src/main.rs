@@ -14,7 +14,7 @@ use clap::Parser;
 use emulator::board::Wiring;
 use emulator::firmware::Firmware;
 use emulator::flight::{self, Flown, Settings};
-use emulator::radio::Protocol;
+use emulator::rc_receiver::Protocol;
 use emulator::timing::INSTRUCTIONS_PER_SECOND;
 use input::InputError;
 use serde_json::{Value, json};
@@ -49,9 +49,9 @@ struct Arguments {
     /// The board, built-in or a file; without it, the image's, or speedybee-f405-v4
     #[arg(long, value_name = "NAME|F.toml")]
     board: Option<String>,
-    /// What the radio receiver speaks
+    /// What the receiver receiver speaks
     #[arg(long, value_enum, value_name = "PROTOCOL", default_value_t = Protocol::Crsf)]
-    radio: Protocol,
+    receiver: Protocol,
     /// Print the firmware's log on standard error, with its time
     #[arg(long)]
     firmware_log: bool,
@@ -94,7 +94,7 @@ fn run(arguments: &Arguments) -> Result<Answer, InputError> {
     let settings = Settings {
         firmware: &firmware,
         wiring: wiring.clone(),
-        radio: arguments.radio,
+        receiver: arguments.receiver,
         config: Some(scene.board_config()),
         print_log: arguments.firmware_log,
         after_crash_s: 0.0,
@@ -108,11 +108,11 @@ fn run(arguments: &Arguments) -> Result<Answer, InputError> {
     if let Some(log) = log.filter(|_| flown.broken_off.is_none()) {
         log.finish()?;
     }
-    let complaints = complaints(&flown);
+    let violations = violations(&flown);
     Ok(Answer {
-        json: to_json(&scene, &firmware, &wiring, &flown, &complaints, wall_s),
-        text: describe(&scene, &firmware, &wiring, &flown, &complaints, wall_s),
-        failed: !complaints.is_empty(),
+        json: to_json(&scene, &firmware, &wiring, &flown, &violations, wall_s),
+        text: describe(&scene, &firmware, &wiring, &flown, &violations, wall_s),
+        failed: !violations.is_empty(),
     })
 }
 
@@ -153,20 +153,20 @@ fn build(board: Option<&str>, vehicle: &str) -> Result<Firmware, InputError> {
 }
 
 /// What is not as it must be.
-fn complaints(flown: &Flown) -> Vec<String> {
-    let mut complaints = Vec::new();
-    complaints.extend(flown.broken_off.clone());
+fn violations(flown: &Flown) -> Vec<String> {
+    let mut violations = Vec::new();
+    violations.extend(flown.broken_off.clone());
     if let Some((crash, at_s)) = flown.outcome.crash {
-        complaints.push(format!("crashed at {at_s:.3} s: {}", crash.text()));
+        violations.push(format!("crashed at {at_s:.3} s: {}", crash.text()));
     }
     let refusal = flown.records.iter().rev().filter_map(|record| record.outcome.event);
     match refusal.into_iter().find(|event| event.is_refusal()) {
         _ if flown.armed => {}
-        Some(event) => complaints.push(format!("did not arm: {}", event.cause.text())),
-        None => complaints.push("did not arm, and was not asked to".into()),
+        Some(event) => violations.push(format!("did not arm: {}", event.cause.text())),
+        None => violations.push("did not arm, and was not asked to".into()),
     }
     if flown.armed && flown.took_off == Some(false) {
-        complaints.push("did not take off".into());
+        violations.push("did not take off".into());
     }
     for (count, one) in [
         (flown.resets.len(), "reset"),
@@ -175,22 +175,22 @@ fn complaints(flown: &Flown) -> Vec<String> {
     ] {
         match count {
             0 => {}
-            1 => complaints.push(format!("1 {one}")),
-            _ => complaints.push(format!("{count} {one}s")),
+            1 => violations.push(format!("1 {one}")),
+            _ => violations.push(format!("{count} {one}s")),
         }
     }
-    complaints.extend(flown.unserved.iter().cloned());
-    complaints
+    violations.extend(flown.unserved.iter().cloned());
+    violations
 }
 
-fn verdict(flown: &Flown, complaints: &[String]) -> String {
+fn verdict(flown: &Flown, violations: &[String]) -> String {
     if let Some(why) = &flown.broken_off {
         return format!("BROKEN OFF at {:.3} s: {why}", flown.outcome.flown_s());
     }
     let verdict = summary::verdict(&flown.outcome);
     // A crash is the verdict already.
     let besides: Vec<&str> =
-        complaints.iter().map(String::as_str).filter(|what| !what.starts_with("crashed at")).collect();
+        violations.iter().map(String::as_str).filter(|what| !what.starts_with("crashed at")).collect();
     if besides.is_empty() { verdict } else { format!("{verdict}, BUT {}", besides.join("; ")) }
 }
 
@@ -202,10 +202,10 @@ fn describe(
     firmware: &Firmware,
     wiring: &Wiring,
     flown: &Flown,
-    complaints: &[String],
+    violations: &[String],
     wall_s: f64,
 ) -> String {
-    let mut text = summary::describe(scene, &flown.outcome, &verdict(flown, complaints), wall_s);
+    let mut text = summary::describe(scene, &flown.outcome, &verdict(flown, violations), wall_s);
     let protocol = flown.escs.iter().find_map(|esc| esc.last()).map_or("none", |last| last.protocol.name());
     let timing = &flown.timing;
     write!(
@@ -270,7 +270,7 @@ fn to_json(
     firmware: &Firmware,
     wiring: &Wiring,
     flown: &Flown,
-    complaints: &[String],
+    violations: &[String],
     wall_s: f64,
 ) -> Value {
     let mut json = summary::to_json(scene, scene.seed, &flown.outcome, wall_s);
@@ -281,7 +281,7 @@ fn to_json(
         "image_sha256": firmware.sha256(),
         "armed": flown.armed,
         "took_off": flown.took_off,
-        "complaints": complaints,
+        "violations": violations,
         "resets": flown.resets.len(),
         "missed_deadlines": flown.missed_deadlines,
         "instructions": flown.instructions,

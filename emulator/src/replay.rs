@@ -18,7 +18,7 @@ pub fn on_board(config: &Config, wiring: &Wiring) -> Config {
         |axes: &Axes, sensor: Sensitivity| Sensitivity { mounting: vehicle::matrix(axes), ..sensor };
     config.params.gyro = mounted(&wiring.imu_axes, config.params.gyro);
     config.params.accel = mounted(&wiring.imu_axes, config.params.accel);
-    config.params.mag = mounted(&wiring.compass_axes, config.params.mag);
+    config.params.mag = mounted(&wiring.magnetometer_axes, config.params.mag);
     config
 }
 

@@ -48,7 +48,7 @@ impl Rules {
     pub fn look(&mut self, machine: &Machine, now_s: f64) {
         let found = [
             self.pins(machine),
-            compass_bus(machine, &self.wiring),
+            magnetometer_bus(machine, &self.wiring),
             imu_bus(machine, &self.wiring),
             converter(machine),
             halts(machine, &self.wiring),
@@ -121,7 +121,7 @@ impl Rules {
     }
 
     /// What was broken, a line each.
-    pub fn complaints(&self) -> Vec<String> {
+    pub fn violations(&self) -> Vec<String> {
         self.broken.iter().map(|(what, at_s)| format!("{what}, since {at_s:.3} s")).collect()
     }
 
@@ -176,8 +176,8 @@ fn is_connected(machine: &Machine, connection: &Connection) -> bool {
 }
 
 /// RM0090, 27.6.2, 27.6.8 and 27.6.9; a transfer is short, and ends with a stop.
-fn compass_bus(machine: &Machine, wiring: &Wiring) -> Vec<String> {
-    let instance = wiring.board.compass.scl.peripheral.as_str();
+fn magnetometer_bus(machine: &Machine, wiring: &Wiring) -> Vec<String> {
+    let instance = wiring.board.magnetometer.scl.peripheral.as_str();
     if !is_on(machine, instance) {
         return Vec::new();
     }
@@ -195,8 +195,11 @@ fn compass_bus(machine: &Machine, wiring: &Wiring) -> Vec<String> {
         (true, true) => 25,
     };
     let rate_hz = APB1_HZ.checked_div(periods * i2c3::ccr::CCR.get(ccr)).unwrap_or(0);
-    if rate_hz.abs_diff(wiring.compass_hz) * 20 > wiring.compass_hz {
-        broken.push(format!("{instance} runs at {rate_hz} bits a second; the bus at {}", wiring.compass_hz));
+    if rate_hz.abs_diff(wiring.magnetometer_hz) * 20 > wiring.magnetometer_hz {
+        broken.push(format!(
+            "{instance} runs at {rate_hz} bits a second; the bus at {}",
+            wiring.magnetometer_hz
+        ));
     }
     // Rise times up to 300 ns in fast mode, 1,000 ns in standard mode (UM10204, table 10).
     let rise = APB1_HZ / 1_000_000 * if fast { 300 } else { 1_000 } / 1_000 + 1;
@@ -204,10 +207,10 @@ fn compass_bus(machine: &Machine, wiring: &Wiring) -> Vec<String> {
         broken.push(format!("{instance}.TRISE is not the bus's rise time, {rise}"));
     }
     // 32 bytes take less than a millisecond.
-    if i2c3::sr2::BUSY.is_set(get(i2c3::Register::Sr2)) && machine.compass_bus_is_free() {
+    if i2c3::sr2::BUSY.is_set(get(i2c3::Register::Sr2)) && machine.magnetometer_bus_is_free() {
         broken.push(format!("{instance}: a transfer does not end with a stop"));
     }
-    if machine.compass_bus_is_free() && machine.compass_sends_on() {
+    if machine.magnetometer_bus_is_free() && machine.magnetometer_sends_on() {
         broken.push(format!(
             "{instance} acknowledged the last byte of a transfer, and the sensor goes on to send"
         ));

@@ -67,11 +67,11 @@ pub fn handlers(ready: &str, serial: &str) -> [Handler; HANDLERS] {
         board(ready, "data ready"),
         board(serial, "receive"),
         board("TIM5", "overdue"),
-        Handler { vector: "DMA2_STREAM0", task: "flight", exception: 16 + 56, priority: 5 },
+        Handler { vector: "DMA2_STREAM0", task: "control_loop", exception: 16 + 56, priority: 5 },
         Handler { vector: "SysTick", task: "tick", exception: 15, priority: 4 },
-        Handler { vector: "HASH_RNG", task: "supply", exception: 16 + 80, priority: 3 },
-        Handler { vector: "DCMI", task: "imu, health, announce", exception: 16 + 78, priority: 2 },
-        Handler { vector: "CRYP", task: "compass", exception: 16 + 79, priority: 1 },
+        Handler { vector: "HASH_RNG", task: "battery", exception: 16 + 80, priority: 3 },
+        Handler { vector: "DCMI", task: "imu_setup, health, log_event", exception: 16 + 78, priority: 2 },
+        Handler { vector: "CRYP", task: "magnetometer", exception: 16 + 79, priority: 1 },
     ]
 }
 

@@ -124,7 +124,7 @@ impl Vectors {
     }
 
     /// What was wrong.
-    pub fn into_complaints(self) -> Vec<String> {
+    pub fn into_violations(self) -> Vec<String> {
         let again = self.0.into_iter().filter(|vector| vector.entered_again > 0);
         again
             .map(|vector| {

@@ -2,7 +2,7 @@
 //!
 //! The PWM timers go on by themselves, and an ESC holds its last throttle for a while when frames stop coming: without
 //! this, a fault in flight would leave the motors as they were. Every way out of the program ends here: a panic, a
-//! fault, a stack that has run out of its region, an interrupt that has no handler, a flight task that hangs
+//! fault, a stack that has run out of its region, an interrupt that has no handler, a control loop that hangs
 //! ([`tasks::sampling`]).
 //!
 //! The stop is on every pad 0.1 to 3.6 ms later, by protocol (`firmware/src/stm32f405/esc.rs` has the arithmetic), and

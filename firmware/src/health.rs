@@ -1,28 +1,28 @@
 //! The health line of the log, once a second.
 
-use tasks::tally::TALLY;
+use tasks::counters::COUNTERS;
 
 /// Writes it, and begins to count anew. `missed`: deadlines missed since start.
 pub fn log(missed: u32) {
     defmt::info!(
-        "imu lost {=u32} polled {=u32} late {=u32} repeated {=u32} invalid {=u32} unreadable {=u32}, flight {=u32} us, \
+        "imu lost {=u32} polled {=u32} late {=u32} repeated {=u32} invalid {=u32} unreadable {=u32}, step {=u32} us, \
          outputs dropped {=u32} recovered {=u32}, mag {=u32} errors {=u32}, rc {=u32} bad {=u32}, \
          battery {=u32} mV, delayed {=u32} missed {=u32}",
-        TALLY.lost.take(),
-        TALLY.polled.take(),
-        TALLY.late.take(),
-        TALLY.repeated.take(),
-        TALLY.invalid.take(),
-        TALLY.unreadable.take(),
-        TALLY.longest_us.take(),
-        TALLY.outputs_dropped.take(),
-        TALLY.outputs_recovered.take(),
-        TALLY.mag.take(),
-        TALLY.mag_errors.take(),
-        TALLY.rc.take(),
-        TALLY.rc_bad.take(),
-        TALLY.battery_mv.take(),
-        TALLY.delayed.take(),
+        COUNTERS.lost.take(),
+        COUNTERS.polled.take(),
+        COUNTERS.late.take(),
+        COUNTERS.repeated.take(),
+        COUNTERS.invalid.take(),
+        COUNTERS.unreadable.take(),
+        COUNTERS.longest_us.take(),
+        COUNTERS.outputs_dropped.take(),
+        COUNTERS.outputs_recovered.take(),
+        COUNTERS.mag.take(),
+        COUNTERS.mag_errors.take(),
+        COUNTERS.rc.take(),
+        COUNTERS.rc_bad.take(),
+        COUNTERS.battery_mv.take(),
+        COUNTERS.delayed.take(),
         missed,
     );
 }

@@ -1,6 +1,6 @@
 //! The inertial sensor's set-up: at start, and again whenever the sensor must be set up again, in flight too.
 //!
-//! Nobody waits for it. While it lasts it has the sensor's bus ([`tasks::sampling`]), and the flight task steps
+//! Nobody waits for it. While it lasts it has the sensor's bus ([`tasks::sampling`]), and the control loop steps
 //! without samples: on the ground it refuses to arm; in flight it goes on if the samples are back within 0.1 s, and
 //! stops the motors if not.
 //!
@@ -14,7 +14,7 @@
 use drivers::icm42688p::{Progress, Setup};
 use tasks::sampling;
 
-use crate::stm32f405::burst::{ImuSpi, Wired};
+use crate::stm32f405::burst::{HasWiring, ImuSpi};
 use crate::stm32f405::deadline;
 
 /// The sensor, for its set-up.
@@ -24,7 +24,7 @@ pub struct Imu<W> {
     setup: Option<Setup>,
 }
 
-impl<W: Wired> Imu<W> {
+impl<W: HasWiring> Imu<W> {
     /// Not set up yet.
     pub fn new(spi: ImuSpi<W>) -> Self {
         Self { spi, setup: None }
@@ -49,7 +49,7 @@ impl<W: Wired> Imu<W> {
                 sampling::set_up_done();
                 defmt::info!("inertial sensor: set up");
             }
-            // The flight task runs all the same, and refuses to arm.
+            // The control loop runs all the same, and refuses to arm.
             Progress::Failed(error) => {
                 defmt::warn!("inertial sensor: {=str} {=u32:#x}", error.text(), error.number());
             }

@@ -4,10 +4,10 @@
 //! ```text
 //!        0 µs      the inertial sensor raises its data-ready line: the board's interrupt notes the time and
 //!                  starts a burst of DMA
-//!       13 µs      the burst is done, and its vector is that of `flight`: sample and inbox to the flight
+//!       13 µs      the burst is done, and its vector is that of `control_loop`: sample and inbox to the flight
 //!                  controller, pulses and permit to the outputs
-//!     any time     `tick`: the bytes that the receiver has sent; starts what is due of `supply`, `compass`,
-//!                  `health`, and `imu` while the sensor is being set up
+//!     any time     `tick`: the bytes that the receiver has sent; starts what is due of `battery`, `magnetometer`,
+//!                  `health`, and `imu_setup` while the sensor is being set up
 //!                  idle: sleeps
 //!    1,000 µs      the next sample
 //! ```
@@ -18,9 +18,9 @@
 //! # Who may do what
 //! Whether the motors turn is decided in one place, `flight_core::arming`, which hands out a `MotorPermit`
 //! with each step in which they may. `Outputs::drive` takes that permit by value, and nothing else writes a
-//! pulse other than the stop pulse. A panic, a fault, an interrupt that nobody expected, and a flight task that
-//! does not end its run stop the motors ([`fault`]). The watchdog is fed in one place, `supply`, and only if
-//! the tasks that a flight needs are on time ([`tasks::watch`]).
+//! pulse other than the stop pulse. A panic, a fault, an interrupt that nobody expected, and a control loop that
+//! does not end its run stop the motors ([`fault`]). The watchdog is fed in one place, `battery`, and only if
+//! the tasks that a flight needs are on time ([`tasks::deadlines`]).
 //!
 //! # Two boards, one set of tasks
 //! The tasks below are the same in flight, on a desk and on QEMU; what differs lies in [`board`]. With the feature
@@ -37,18 +37,18 @@
 #[cfg(feature = "bench")]
 mod bench;
 mod board;
-#[cfg(feature = "wired")]
-mod compass;
 mod fault;
 mod health;
-#[cfg(feature = "wired")]
+#[cfg(feature = "flight-board")]
 mod imu;
 mod inbox;
 mod interrupts;
-#[cfg(feature = "wired")]
-mod light;
-#[cfg(feature = "wired")]
-mod radio;
+#[cfg(feature = "flight-board")]
+mod led;
+#[cfg(feature = "flight-board")]
+mod magnetometer;
+#[cfg(feature = "flight-board")]
+mod rc_receiver;
 mod recorder;
 mod step;
 mod stm32f405;
@@ -77,26 +77,26 @@ const IMAGE_NAME: &str = if cfg!(feature = "bench") {
     concat!(env!("KESTREL_BOARD_NAME"), "\0")
 };
 
-// | task       | woken by                     | prio | rate      | deadline       | has                           |
-// |------------|------------------------------|------|-----------|----------------|-------------------------------|
-// | (board's)  | data ready                   | 6    | 1 kHz     | –              | the time, the burst           |
-// | (board's)  | TIM5: sample overdue         | 6    | ≤ 1 kHz   | –              | the time, the burst           |
-// | (board's)  | a byte at the receiver's port| 6    | ≤ 42 kHz  | the next byte  | its end of the queue          |
-// | `flight`   | DMA2_STREAM0: burst done, or | 5    | 1 kHz     | 1 ms           | flight controller, sampler,   |
-// |            | pended when overdue          |      |           |                | outputs, monitor; inbox, watch|
-// | `tick`     | SysTick                      | 4    | 1 kHz     | 1 ms           | radio; inbox, watch           |
-// | `supply`   | `tick`, every 20th           | 3    | 50 Hz     | 20 ms          | supply, watchdog; inbox, watch|
-// | `imu`      | `tick`, while being set up   | 2    | 1 kHz     | –              | the inertial sensor's set-up  |
-// | `health`   | `tick`, every 1,000th        | 2    | 1 Hz      | 1 s            | watch                         |
-// | `announce` | whoever has news             | 2    | rare      | –              | its argument                  |
-// | `stream`   | `flight`, feature `bench`    | 2    | 1 kHz     | –              | its argument                  |
-// | `compass`  | `tick`, every 5th            | 1    | 200 Hz    | 5 ms           | compass; inbox                |
-// | `idle`     |                              | 0    |           |                |                               |
+// | task           | woken by                      | prio | rate     | deadline      | uses                                    |
+// |----------------|-------------------------------|------|----------|---------------|-----------------------------------------|
+// | (the board's)  | data ready                    | 6    | 1 kHz    | –             | the time, the burst                     |
+// | (the board's)  | TIM5: sample overdue          | 6    | ≤ 1 kHz  | –             | the time, the burst                     |
+// | (the board's)  | a byte at the receiver's port | 6    | ≤ 42 kHz | the next byte | its end of the queue                    |
+// | `control_loop` | DMA2_STREAM0: burst done, or  | 5    | 1 kHz    | 1 ms          | flight controller, sampler, outputs,    |
+// |                | pended when overdue           |      |          |               | monitor; inbox, deadlines               |
+// | `tick`         | SysTick                       | 4    | 1 kHz    | 1 ms          | receiver; inbox, deadlines              |
+// | `battery`      | `tick`, every 20th            | 3    | 50 Hz    | 20 ms         | battery ADC, watchdog; inbox, deadlines |
+// | `imu_setup`    | `tick`, during set-up         | 2    | 1 kHz    | –             | the inertial sensor's set-up            |
+// | `health`       | `tick`, every 1,000th         | 2    | 1 Hz     | 1 s           | deadlines                               |
+// | `log_event`    | any task                      | 2    | rare     | –             | its argument                            |
+// | `log_samples`  | `control_loop` (`bench` only) | 2    | 1 kHz    | –             | its argument                            |
+// | `magnetometer` | `tick`, every 5th             | 1    | 200 Hz   | 5 ms          | magnetometer; inbox                     |
+// | `idle`         |                               | 0    |          |               |                                         |
 //
-// A flight needs `flight`, `tick` and `supply`, and the watchdog looks at these three. Whatever has a lower priority
+// A flight needs `control_loop`, `tick` and `battery`, and the watchdog looks at these three. Whatever has a lower priority
 // may hang without holding them up.
 //
-// `inbox` and `watch` are shared under RTIC's priority ceiling, which is 5: a lock holds `flight` up for some
+// `inbox` and `deadlines` are shared under RTIC's priority ceiling, which is 5: a lock holds `control_loop` up for some
 // dozens of instructions, and priority 6, which takes the times, never. The dispatchers are the vectors of
 // peripherals that the F405 does not have, and of its random number generator, which nobody switches on.
 #[rtic::app(device = stm32f4xx_hal::pac, peripherals = true, dispatchers = [CRYP, DCMI, HASH_RNG])]
@@ -107,19 +107,21 @@ mod app {
     use flight_core::watchdog::Deadline;
     use flight_core::{FlightController, Input};
 
-    use tasks::tally::TALLY;
-    use tasks::watch::{self, COMPASS_TICKS, HEALTH_TICKS, SUPPLY_TICKS, Task, Watch};
+    use tasks::counters::COUNTERS;
+    use tasks::deadlines::{self, BATTERY_TICKS, DeadlineMonitor, HEALTH_TICKS, MAGNETOMETER_TICKS, Task};
     use tasks::{OVERDUE_US, PERIOD_US, sampling};
 
-    use crate::board::{self, Board, Compass, Imu, Monitor, Outputs, Radio, Sampler, Step, Supply, Watchdog};
+    use crate::board::{
+        self, BatteryAdc, Board, Imu, Magnetometer, Monitor, Outputs, RcReceiver, Sampler, Step, Watchdog,
+    };
     use crate::inbox::Inbox;
     use crate::recorder;
 
     /// The outputs are locked, because people are about.
     const BENCH: bool = cfg!(feature = "bench");
 
-    /// News for the log.
-    pub enum News {
+    /// An event for the log.
+    pub enum LogEvent {
         /// The arm state has changed, or a request was refused.
         Arming(Event),
         /// This task was late.
@@ -129,7 +131,7 @@ mod app {
     #[shared]
     struct Shared {
         inbox: Inbox,
-        watch: Watch,
+        deadlines: DeadlineMonitor,
     }
 
     #[local]
@@ -139,9 +141,9 @@ mod app {
         imu: Imu,
         outputs: Outputs,
         monitor: Monitor,
-        radio: Radio,
-        supply: Supply,
-        compass: Compass,
+        receiver: RcReceiver,
+        battery_adc: BatteryAdc,
+        magnetometer: Magnetometer,
         watchdog: Watchdog,
         watchdog_reset: bool,
         ticks: u32,
@@ -168,7 +170,16 @@ mod app {
         #[cfg(feature = "bench")]
         crate::bench::begin(&board.config);
         let Board {
-            sampler, imu, outputs, monitor, radio, supply, compass, watchdog, watchdog_reset, ..
+            sampler,
+            imu,
+            outputs,
+            monitor,
+            receiver,
+            battery_adc,
+            magnetometer,
+            watchdog,
+            watchdog_reset,
+            ..
         } = board;
         let local = Local {
             controller,
@@ -176,15 +187,15 @@ mod app {
             imu,
             outputs,
             monitor,
-            radio,
-            supply,
-            compass,
+            receiver,
+            battery_adc,
+            magnetometer,
             watchdog,
             watchdog_reset,
             ticks: 0,
             ticked_us: board::now_us(),
         };
-        (Shared { inbox: Inbox::default(), watch: Watch::new(board::now_us()) }, local)
+        (Shared { inbox: Inbox::default(), deadlines: DeadlineMonitor::new(board::now_us()) }, local)
     }
 
     #[idle]
@@ -195,12 +206,13 @@ mod app {
     }
 
     #[task(
-        binds = DMA2_STREAM0, priority = 5, shared = [inbox, watch],
+        binds = DMA2_STREAM0, priority = 5, shared = [inbox, deadlines],
         local = [controller, sampler, outputs, monitor, watchdog_reset]
     )]
-    fn flight(cx: flight::Context) {
-        let flight::LocalResources { controller, sampler, outputs, monitor, watchdog_reset, .. } = cx.local;
-        let flight::SharedResources { mut inbox, mut watch, .. } = cx.shared;
+    fn control_loop(cx: control_loop::Context) {
+        let control_loop::LocalResources { controller, sampler, outputs, monitor, watchdog_reset, .. } =
+            cx.local;
+        let control_loop::SharedResources { mut inbox, mut deadlines, .. } = cx.shared;
         let Some(sample) = sampler.take(board::now_us()) else { return };
 
         let Inbox { rc, mag, battery } = inbox.lock(core::mem::take);
@@ -215,7 +227,7 @@ mod app {
                 usb: BENCH,
                 maintenance: false,
                 watchdog_reset: *watchdog_reset,
-                missed_deadlines: watch::missed(),
+                missed_deadlines: deadlines::missed(),
             },
         };
         let output = controller.step(&input);
@@ -231,7 +243,7 @@ mod app {
         };
 
         #[cfg(feature = "bench")]
-        stream::spawn(sample.time_us, sample.imu, mag).ok();
+        log_samples::spawn(sample.time_us, sample.imu, mag).ok();
         let attitude = controller.attitude();
         let (pulses_us, state, event) = (output.pulses_us, output.state, output.event);
         recorder::write(&input, &Outcome { driven, pulses_us, state, event, attitude });
@@ -242,52 +254,52 @@ mod app {
             state,
             event,
             attitude,
-            missed_deadlines: watch::missed(),
+            missed_deadlines: deadlines::missed(),
         });
         // A line that finds the last one still being written is dropped: the next one comes.
         if let Some(event) = event {
-            announce::spawn(News::Arming(event)).ok();
+            log_event::spawn(LogEvent::Arming(event)).ok();
         }
 
         let now_us = board::now_us();
         let took_us = now_us.wrapping_sub(sample.woken_us);
-        TALLY.longest_us.most(took_us);
+        COUNTERS.longest_us.record_max(took_us);
         let deadline = if took_us <= PERIOD_US { Deadline::Met } else { Deadline::Missed };
-        if watch.lock(|watch| watch.check_in(Task::Flight, deadline, now_us)) {
-            announce::spawn(News::Missed(Task::Flight)).ok();
+        if deadlines.lock(|deadlines| deadlines.check_in(Task::Control, deadline, now_us)) {
+            log_event::spawn(LogEvent::Missed(Task::Control)).ok();
         }
-        if sample.polled && watch.lock(|watch| watch.miss(Task::DataReady)) {
-            announce::spawn(News::Missed(Task::DataReady)).ok();
+        if sample.polled && deadlines.lock(|deadlines| deadlines.miss(Task::DataReady)) {
+            log_event::spawn(LogEvent::Missed(Task::DataReady)).ok();
         }
         sampling::served();
     }
 
-    #[task(binds = SysTick, priority = 4, shared = [inbox, watch], local = [radio, ticks, ticked_us])]
+    #[task(binds = SysTick, priority = 4, shared = [inbox, deadlines], local = [receiver, ticks, ticked_us])]
     fn tick(cx: tick::Context) {
-        let tick::LocalResources { radio, ticks, ticked_us, .. } = cx.local;
-        let tick::SharedResources { mut inbox, mut watch, .. } = cx.shared;
+        let tick::LocalResources { receiver, ticks, ticked_us, .. } = cx.local;
+        let tick::SharedResources { mut inbox, mut deadlines, .. } = cx.shared;
 
-        while let Some(frame) = radio.poll() {
+        while let Some(frame) = receiver.poll() {
             inbox.lock(|inbox| inbox.rc = Some(frame));
         }
         let mut miss = |task| {
-            if watch.lock(|watch| watch.miss(task)) {
-                announce::spawn(News::Missed(task)).ok();
+            if deadlines.lock(|deadlines| deadlines.miss(task)) {
+                log_event::spawn(LogEvent::Missed(task)).ok();
             }
         };
         // What is still at its last run has missed the deadline of that.
-        if ticks.is_multiple_of(COMPASS_TICKS) && compass::spawn().is_err() {
-            miss(Task::Compass);
+        if ticks.is_multiple_of(MAGNETOMETER_TICKS) && magnetometer::spawn().is_err() {
+            miss(Task::Magnetometer);
         }
-        if ticks.is_multiple_of(SUPPLY_TICKS) && supply::spawn().is_err() {
-            miss(Task::Supply);
+        if ticks.is_multiple_of(BATTERY_TICKS) && battery::spawn().is_err() {
+            miss(Task::Battery);
         }
         if ticks.is_multiple_of(HEALTH_TICKS) && health::spawn().is_err() {
             miss(Task::Health);
         }
         // It has no deadline: one that is still at its last step goes on with the next tick.
         if sampling::setting_up() {
-            imu::spawn().ok();
+            imu_setup::spawn().ok();
         }
         *ticks = ticks.wrapping_add(1);
 
@@ -296,23 +308,23 @@ mod app {
         let late = now_us.wrapping_sub(*ticked_us) > OVERDUE_US;
         *ticked_us = now_us;
         let deadline = if late { Deadline::Missed } else { Deadline::Met };
-        if watch.lock(|watch| watch.check_in(Task::Tick, deadline, now_us)) {
-            announce::spawn(News::Missed(Task::Tick)).ok();
+        if deadlines.lock(|deadlines| deadlines.check_in(Task::Tick, deadline, now_us)) {
+            log_event::spawn(LogEvent::Missed(Task::Tick)).ok();
         }
     }
 
-    #[task(priority = 3, shared = [inbox, watch], local = [supply, watchdog])]
-    async fn supply(cx: supply::Context) {
-        let supply::LocalResources { supply, watchdog, .. } = cx.local;
-        let supply::SharedResources { mut inbox, mut watch, .. } = cx.shared;
-        if let Some(battery) = supply.measure() {
-            TALLY.battery_mv.set((battery.voltage_v * 1.0e3) as u32);
+    #[task(priority = 3, shared = [inbox, deadlines], local = [battery_adc, watchdog])]
+    async fn battery(cx: battery::Context) {
+        let battery::LocalResources { battery_adc, watchdog, .. } = cx.local;
+        let battery::SharedResources { mut inbox, mut deadlines, .. } = cx.shared;
+        if let Some(battery) = battery_adc.measure() {
+            COUNTERS.battery_mv.set((battery.voltage_v * 1.0e3) as u32);
             inbox.lock(|inbox| inbox.battery = Some(battery));
         }
-        let on_time = watch.lock(|watch| {
+        let on_time = deadlines.lock(|deadlines| {
             let now_us = board::now_us();
-            watch.check_in(Task::Supply, Deadline::Met, now_us);
-            watch.may_feed(now_us)
+            deadlines.check_in(Task::Battery, Deadline::Met, now_us);
+            deadlines.may_feed(now_us)
         });
         match on_time {
             Ok(()) => watchdog.feed(),
@@ -320,23 +332,25 @@ mod app {
         }
     }
 
-    #[task(priority = 2, shared = [watch])]
+    #[task(priority = 2, shared = [deadlines])]
     async fn health(mut cx: health::Context) {
-        cx.shared.watch.lock(Watch::begin_report);
-        crate::health::log(watch::missed());
+        cx.shared.deadlines.lock(DeadlineMonitor::begin_report);
+        crate::health::log(deadlines::missed());
     }
 
     #[task(priority = 2, local = [imu])]
-    async fn imu(cx: imu::Context) {
+    async fn imu_setup(cx: imu_setup::Context) {
         cx.local.imu.run();
     }
 
     #[task(priority = 2)]
-    async fn announce(_: announce::Context, news: News) {
-        match news {
-            News::Missed(task) => defmt::warn!("deadline missed: {=str}", task.name()),
-            News::Arming(event) if event.is_refusal() => defmt::warn!("refused: {=str}", event.cause.text()),
-            News::Arming(event) => {
+    async fn log_event(_: log_event::Context, event: LogEvent) {
+        match event {
+            LogEvent::Missed(task) => defmt::warn!("deadline missed: {=str}", task.name()),
+            LogEvent::Arming(event) if event.is_refusal() => {
+                defmt::warn!("refused: {=str}", event.cause.text())
+            }
+            LogEvent::Arming(event) => {
                 let (from, to) = (event.from.name(), event.to.name());
                 defmt::info!("{=str} -> {=str}: {=str}", from, to, event.cause.text());
             }
@@ -345,8 +359,8 @@ mod app {
 
     #[cfg(feature = "bench")]
     #[task(priority = 2)]
-    async fn stream(
-        _: stream::Context,
+    async fn log_samples(
+        _: log_samples::Context,
         time_us: u64,
         imu: Option<flight_core::sample::ImuSample>,
         mag: Option<flight_core::sample::MagSample>,
@@ -354,9 +368,9 @@ mod app {
         crate::bench::log(time_us, imu, mag);
     }
 
-    #[task(priority = 1, shared = [inbox], local = [compass])]
-    async fn compass(mut cx: compass::Context) {
-        if let Some(mag) = cx.local.compass.run() {
+    #[task(priority = 1, shared = [inbox], local = [magnetometer])]
+    async fn magnetometer(mut cx: magnetometer::Context) {
+        if let Some(mag) = cx.local.magnetometer.run() {
             cx.shared.inbox.lock(|inbox| inbox.mag = Some(mag));
         }
     }

@@ -1,4 +1,4 @@
-//! The last step of the flight task, where a debug probe finds it: at the symbol `FLIGHT_RECORD`.
+//! The last step of the control loop, where a debug probe finds it: at the symbol `FLIGHT_RECORD`.
 //!
 //! It stays in RAM when a fault has stopped the motors, and until the watchdog's reset has started the firmware anew:
 //! then it is zeroed with all other variables. A probe that halts the core before that, or that reads along while the
@@ -28,7 +28,7 @@ use flight_core::record::{Outcome, StepRecord, WORDS};
 #[used]
 pub static FLIGHT_RECORD: [AtomicU32; WORDS + 1] = [const { AtomicU32::new(0) }; WORDS + 1];
 
-/// Records a step that was given `input`. Only the flight task does.
+/// Records a step that was given `input`. Only the control loop does.
 ///
 /// A function of its own, so that the step itself need not keep what it was given in registers until here.
 #[inline(never)]

@@ -9,7 +9,7 @@ const CRITICAL_US: u32 = 3_000_000;
 
 /// The last measurement, its age, and how long it has been critical.
 #[derive(Clone, Copy, Debug)]
-pub struct BatteryWatch {
+pub struct BatteryMonitor {
     min_arm_v: f32,
     critical_v: f32,
     voltage_v: f32,
@@ -17,7 +17,7 @@ pub struct BatteryWatch {
     critical_us: u32,
 }
 
-impl BatteryWatch {
+impl BatteryMonitor {
     /// Before the first measurement. Below `min_arm_v` no flight starts; below `critical_v` one ends.
     pub fn new(min_arm_v: f32, critical_v: f32) -> Self {
         Self { min_arm_v, critical_v, voltage_v: 0.0, age_us: u32::MAX, critical_us: 0 }
@@ -80,7 +80,7 @@ mod tests {
                 prop_oneof![3 => 0..400_000_u32, 2 => Just(500_000), 2 => Just(1_000_000), 1 => Just(u32::MAX)],
             ), 1..60),
         ) {
-            let mut watch = BatteryWatch::new(10.5, 9.0);
+            let mut watch = BatteryMonitor::new(10.5, 9.0);
             prop_assert!(watch.low() && !watch.critical());
             let mut now_us = 0_u64;
             let mut last: Option<(u64, f32)> = None;
@@ -111,7 +111,7 @@ mod tests {
         }
     }
 
-    fn run(watch: &mut BatteryWatch, voltage_v: Option<f32>, flying: bool, ms: u32) -> (bool, bool) {
+    fn run(watch: &mut BatteryMonitor, voltage_v: Option<f32>, flying: bool, ms: u32) -> (bool, bool) {
         for _ in 0..ms {
             watch.update(voltage_v.map(|voltage_v| Battery { voltage_v }), flying, 1_000);
         }
@@ -120,7 +120,7 @@ mod tests {
 
     #[test]
     fn unknown_is_low_and_so_is_what_is_not_a_number() {
-        let mut watch = BatteryWatch::new(10.5, 9.0);
+        let mut watch = BatteryMonitor::new(10.5, 9.0);
         assert_eq!(run(&mut watch, None, false, 1), (true, false));
         assert_eq!(run(&mut watch, Some(10.5), false, 1), (false, false));
         assert_eq!(run(&mut watch, None, false, 2_000), (false, false));
@@ -132,7 +132,7 @@ mod tests {
     #[test]
     #[cfg_attr(miri, ignore = "27,000 steps")]
     fn a_dip_is_not_critical_and_what_is_stays_so_until_the_flight_is_over() {
-        let mut watch = BatteryWatch::new(10.5, 9.0);
+        let mut watch = BatteryMonitor::new(10.5, 9.0);
         assert!(!run(&mut watch, Some(8.0), true, 2_999).1);
         assert!(!run(&mut watch, Some(9.5), true, 1).1);
         assert!(!run(&mut watch, Some(8.0), true, 2_999).1);

@@ -3,7 +3,7 @@
 use crate::arithmetic::min;
 use crate::arming::table::Conditions;
 use crate::arming::{ArmState, Arming, Cause, Event};
-use crate::battery::BatteryWatch;
+use crate::battery::BatteryMonitor;
 use crate::bench::Bench;
 use crate::calibration::{Calibration, SensorFields, SensorModel};
 use crate::config::Config;
@@ -18,7 +18,7 @@ use crate::range::{ConfigError, check};
 use crate::rc::request::SWITCH_OFF_TICKS;
 use crate::rc::{ArmBy, FlightMode, Gesture, Link, Requests, Sticks};
 use crate::sample::{ImuSample, Input, Output, RcFrame};
-use crate::upset::UpsetWatch;
+use crate::tilt_limit::TiltLimit;
 
 /// Age of the last valid inertial sample at which the sensor counts as lost, µs.
 pub const IMU_LOST_US: u32 = 100_000;
@@ -46,8 +46,8 @@ pub struct FlightController {
     requests: Requests,
     arm_by: ArmBy,
     imu_check: ImuCheck,
-    battery: BatteryWatch,
-    upset: UpsetWatch,
+    battery: BatteryMonitor,
+    upset: TiltLimit,
     bench: Bench,
     calibrated: bool,
     descent_throttle: f32,
@@ -107,8 +107,8 @@ impl FlightController {
             requests: Requests::default(),
             arm_by: p.arm_by,
             imu_check: ImuCheck::new(p.stuck_check, p.imu_rate_hz),
-            battery: BatteryWatch::new(p.min_arm_voltage_v, p.critical_voltage_v),
-            upset: UpsetWatch::new(p.control.max_tilt_rad),
+            battery: BatteryMonitor::new(p.min_arm_voltage_v, p.critical_voltage_v),
+            upset: TiltLimit::new(p.control.max_tilt_rad),
             bench: Bench::new(&p.bench)?,
             calibrated: config.calibration.is_some(),
             descent_throttle: p.descent.throttle,
@@ -294,7 +294,7 @@ impl FlightController {
             (Conditions::IMU_STUCK, self.imu_check.stuck()),
             (Conditions::BATTERY_CRITICAL, self.battery.critical()),
             (Conditions::BENCH_LOCK, health.usb),
-            (Conditions::UPSET, self.upset.upset()),
+            (Conditions::TILT_LIMIT, self.upset.exceeded()),
         ];
         if self.arming.state().flies() {
             // The other conditions stand in no row of a flight: `Conditions::IN_FLIGHT`.

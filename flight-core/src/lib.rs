@@ -54,7 +54,7 @@ mod range;
 pub mod rc;
 pub mod record;
 pub mod sample;
-pub mod upset;
+pub mod tilt_limit;
 pub mod watchdog;
 
 pub use arming::{ArmState, MotorPermit};

@@ -423,7 +423,11 @@ mod tests {
                 driven: true,
                 pulses_us: [1000.0, 1250.0, 1500.0, 2000.0],
                 state: ArmState::Terminated,
-                event: Some(Event { from: ArmState::Armed, to: ArmState::Terminated, cause: Cause::Upset }),
+                event: Some(Event {
+                    from: ArmState::Armed,
+                    to: ArmState::Terminated,
+                    cause: Cause::TiltLimit,
+                }),
                 attitude: Quaternion { w: 1.0, v: vec3(-0.5, 0.25, 0.0) },
             },
         };

@@ -1,6 +1,6 @@
 //! Whether the independent watchdog may be fed.
 //!
-//! A watchdog that any task feeds only shows that this task runs. Here every task that a flight needs is on a [`Roll`]
+//! A watchdog that any task feeds only shows that this task runs. Here every task that a flight needs is on a [`CheckIns`]
 //! and checks in at the end of each of its runs, saying whether it met its deadline; whoever feeds the
 //! watchdog looks at the roll first, and feeds it only if nobody is late.
 //!
@@ -31,9 +31,9 @@ pub enum Deadline {
 
 /// The late tasks: bit n for task n.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Late(u32);
+pub struct LateTasks(u32);
 
-impl Late {
+impl LateTasks {
     /// Whether `task` is one of them.
     pub fn contains(self, task: usize) -> bool {
         u32::try_from(task).ok().and_then(|task| self.0.checked_shr(task)).is_some_and(|bits| bits & 1 == 1)
@@ -47,7 +47,7 @@ impl Late {
 
 /// The periodic tasks (up to 32), numbered from 0.
 #[derive(Clone, Debug)]
-pub struct Roll<const TASKS: usize> {
+pub struct CheckIns<const TASKS: usize> {
     allowed_age_us: [u64; TASKS],
     checked_in_us: [Option<u64>; TASKS],
     /// Which have missed a deadline since the last look.
@@ -56,7 +56,7 @@ pub struct Roll<const TASKS: usize> {
     grace_us: u64,
 }
 
-impl<const TASKS: usize> Roll<TASKS> {
+impl<const TASKS: usize> CheckIns<TASKS> {
     /// A roll on which nobody has checked in yet.
     ///
     /// - `allowed_age_us`: for each task the age of its last check-in above which it is late: its period, and
@@ -82,7 +82,7 @@ impl<const TASKS: usize> Roll<TASKS> {
     ///
     /// # Errors
     /// Who is late.
-    pub fn may_feed(&mut self, now_us: u64) -> Result<(), Late> {
+    pub fn may_feed(&mut self, now_us: u64) -> Result<(), LateTasks> {
         let mut late = mem::take(&mut self.missed);
         for (task, (checked_in_us, allowed_us)) in
             self.checked_in_us.iter().zip(self.allowed_age_us).enumerate()
@@ -96,7 +96,7 @@ impl<const TASKS: usize> Roll<TASKS> {
             };
             late |= u32::from(overdue) << task;
         }
-        if late == 0 { Ok(()) } else { Err(Late(late)) }
+        if late == 0 { Ok(()) } else { Err(LateTasks(late)) }
     }
 }
 
@@ -115,7 +115,7 @@ mod tests {
                 0..8_usize, any::<bool>(), any::<bool>(), prop_oneof![START_US..START_US + 1_000_000, any::<u64>()],
             ), 1..60),
         ) {
-            let mut roll = Roll::new(ALLOWED_US, START_US, GRACE_US);
+            let mut roll = CheckIns::new(ALLOWED_US, START_US, GRACE_US);
             let mut last: [Option<u64>; TASKS] = [None; TASKS];
             let mut missed = [false; TASKS];
             for (task, misses, looks, now_us) in times {
@@ -146,15 +146,15 @@ mod tests {
     const START_US: u64 = 3_000_000;
 
     /// A roll after its grace, on which everybody has checked in at the time that comes with it.
-    fn all_present() -> (Roll<TASKS>, u64) {
-        let mut roll = Roll::new(ALLOWED_US, START_US, GRACE_US);
+    fn all_present() -> (CheckIns<TASKS>, u64) {
+        let mut roll = CheckIns::new(ALLOWED_US, START_US, GRACE_US);
         let now_us = START_US + 2 * GRACE_US;
         (0..TASKS).for_each(|task| roll.check_in(task, Met, now_us));
         (roll, now_us)
     }
 
-    fn late(set: u32) -> Result<(), Late> {
-        if set == 0 { Ok(()) } else { Err(Late(set)) }
+    fn late(set: u32) -> Result<(), LateTasks> {
+        if set == 0 { Ok(()) } else { Err(LateTasks(set)) }
     }
 
     #[test]
@@ -172,7 +172,7 @@ mod tests {
                 let named = answer.err().is_some_and(|late| late.contains(task));
                 assert_eq!(named, task < TASKS && set >> task & 1 == 1);
             }
-            assert_eq!(answer.map_or_else(Late::bits, |()| 0), set);
+            assert_eq!(answer.map_or_else(LateTasks::bits, |()| 0), set);
             assert_eq!(roll.may_feed(now_us), Ok(()), "all have met their deadlines since");
         }
     }
@@ -207,14 +207,14 @@ mod tests {
     #[test]
     fn every_combination_of_tasks_that_never_start() {
         for set in 0..1_u32 << TASKS {
-            let mut roll = Roll::new(ALLOWED_US, START_US, GRACE_US);
+            let mut roll = CheckIns::new(ALLOWED_US, START_US, GRACE_US);
             assert_eq!(roll.may_feed(START_US + GRACE_US), Ok(()), "nobody need have started yet");
             let now_us = START_US + GRACE_US + 1;
             (0..TASKS).filter(|task| set >> task & 1 == 0).for_each(|task| roll.check_in(task, Met, now_us));
             assert_eq!(roll.may_feed(now_us), late(set));
         }
         // Who has started is no longer graced.
-        let mut roll = Roll::new(ALLOWED_US, START_US, GRACE_US);
+        let mut roll = CheckIns::new(ALLOWED_US, START_US, GRACE_US);
         roll.check_in(0, Met, START_US);
         assert_eq!(roll.may_feed(START_US + ALLOWED_US[0]), Ok(()));
         assert_eq!(roll.may_feed(START_US + ALLOWED_US[0] + 1), late(1));
@@ -270,7 +270,7 @@ mod tests {
             roll.check_in(task, Missed, now_us);
         }
         assert_eq!(roll.may_feed(now_us), Ok(()));
-        let mut full = Roll::new([1; 32], 0, 0);
+        let mut full = CheckIns::new([1; 32], 0, 0);
         (0..31).for_each(|task| full.check_in(task, Met, 10));
         assert_eq!(full.may_feed(10), late(1 << 31));
     }

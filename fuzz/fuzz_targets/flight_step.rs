@@ -2,16 +2,16 @@
 //! flown by what finds new paths.
 //!
 //! No NaN and no infinity leaves, or stays inside; no motor turns without a permit; and the rest that
-//! `test_support::promise` checks in every step.
+//! `test_support::invariants` checks in every step.
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;
-use test_support::promise::Watched;
+use test_support::invariants::CheckedController;
 use test_support::script::{Bytes, Script};
 
 fuzz_target!(|bytes: &[u8]| {
     let script = Script::read(&mut Bytes::new(bytes));
-    if let Some(mut watched) = Watched::new(&script.config) {
+    if let Some(mut watched) = CheckedController::new(&script.config) {
         script.fly(&mut watched);
     }
 });

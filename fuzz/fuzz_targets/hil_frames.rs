@@ -9,7 +9,7 @@ use libfuzzer_sys::fuzz_target;
 use serde::Serialize;
 use serde::ser::{SerializeTuple as _, Serializer};
 
-use test_support::promise::Watched;
+use test_support::invariants::CheckedController;
 use test_support::script::{Bytes, Script};
 
 /// Bytes that postcard writes as they are.
@@ -48,7 +48,7 @@ fn judge(packet: &Packet) {
     let Some(message) = packet.message::<ToBoard>() else { return };
     sent_again(&message, |packet| packet.message::<ToBoard>());
     if let ToBoard::Start(config) = message
-        && let Some(mut watched) = Watched::new(&config)
+        && let Some(mut watched) = CheckedController::new(&config)
     {
         Script::read(&mut Bytes::new(&[])).with(config).fly(&mut watched);
     }

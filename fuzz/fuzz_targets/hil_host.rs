@@ -13,7 +13,7 @@ use std::sync::atomic::AtomicBool;
 use flight_core::ArmState;
 use hil_link::{Decoder, Done, MAX_FRAME, Received, Started, Step, ToBoard, ToHost, encode};
 use libfuzzer_sys::fuzz_target;
-use sim_host::hil::{self, Faults, Patience, Wire};
+use sim_host::hil::{self, Faults, OnTimeout, Wire};
 use sim_host::scene::Scene;
 
 static SCENE: LazyLock<Scene> = LazyLock::new(|| Scene::load("hover").expect("a built-in scene"));
@@ -131,8 +131,8 @@ impl Write for Firmware<'_> {
 }
 
 impl Wire for Firmware<'_> {
-    fn patience(&mut self) -> Patience {
-        if self.script.u8() & 1 == 0 { Patience::NextFrame } else { Patience::Wait }
+    fn on_timeout(&mut self) -> OnTimeout {
+        if self.script.u8() & 1 == 0 { OnTimeout::NextFrame } else { OnTimeout::Wait }
     }
 }
 

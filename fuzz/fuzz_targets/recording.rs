@@ -11,7 +11,7 @@ use sim_host::identify::recording::{Column, Layout, Recording};
 use sim_host::scene::Scene;
 
 /// Statistics over more than this are no parsing any more.
-const MOST_SAMPLES: usize = 400;
+const MAX_SAMPLES: usize = 400;
 
 const BARE: &str = "[scene]\nduration_s = 1.0\nseed = 1\nvehicle = \"os4\"\nimu = \"my-imu.toml\"\n";
 
@@ -35,7 +35,7 @@ fuzz_target!(|data: &[u8]| {
             assert!(column.samples.len() >= 3 && column.samples.iter().all(|y| y.is_finite()), "{column:?}");
             assert!(column.mean.is_finite() && column.step.is_none_or(|step| step > 0.0), "{column:?}");
             assert!(interval_s > 0.0 && interval_s.is_finite(), "{interval_s} s");
-            if column.samples.len() <= MOST_SAMPLES {
+            if column.samples.len() <= MAX_SAMPLES {
                 analysed.push(analyse(column, interval_s));
             }
         }

@@ -30,15 +30,15 @@ pub fn unknown<'a>(field: &str, value: &str, valid: impl IntoIterator<Item = &'a
 }
 
 /// Whether `minimum ≤ value ≤ maximum`.
-pub fn within(field: &str, value: f64, minimum: f64, maximum: f64, unit: &str) -> Result<(), InputError> {
+pub fn in_range(field: &str, value: f64, minimum: f64, maximum: f64, unit: &str) -> Result<(), InputError> {
     if value >= minimum && value <= maximum {
         return Ok(());
     }
     Err(InputError::new(format!("must be from {minimum} to {maximum} {unit}")).field(field).value(value))
 }
 
-/// [`within`] for the key of an effect's table.
-pub fn one(
+/// [`in_range`] for the key of an effect's table.
+pub fn key_in_range(
     table: &str,
     key: &str,
     value: f64,
@@ -46,11 +46,11 @@ pub fn one(
     maximum: f64,
     unit: &str,
 ) -> Result<(), InputError> {
-    within(&format!("{table}.{key}"), value, minimum, maximum, unit)
+    in_range(&format!("{table}.{key}"), value, minimum, maximum, unit)
 }
 
-/// [`one`] for every entry of an array.
-pub fn each(
+/// [`key_in_range`] for every entry of an array.
+pub fn keys_in_range(
     table: &str,
     key: &str,
     values: impl IntoIterator<Item = f64>,
@@ -58,11 +58,17 @@ pub fn each(
     maximum: f64,
     unit: &str,
 ) -> Result<(), InputError> {
-    values.into_iter().try_for_each(|value| one(table, key, value, minimum, maximum, unit))
+    values.into_iter().try_for_each(|value| key_in_range(table, key, value, minimum, maximum, unit))
 }
 
 /// Whether `minimum < value < maximum`.
-pub fn between(field: &str, value: f64, minimum: f64, maximum: f64, unit: &str) -> Result<(), InputError> {
+pub fn in_open_range(
+    field: &str,
+    value: f64,
+    minimum: f64,
+    maximum: f64,
+    unit: &str,
+) -> Result<(), InputError> {
     if value > minimum && value < maximum {
         return Ok(());
     }

@@ -27,7 +27,7 @@ pub use ground::Ground;
 use crate::effects::vehicle::{
     Body, BodyEffect, CommandEffect, Lag, Load, Point, Stage, ThrustEffect, VehicleEffect, WindEffect,
 };
-use crate::effects::{Moment, OPTIONAL};
+use crate::effects::{OPTIONAL, Snapshot};
 
 pub use vehicle::{GRAVITY, VehicleParams};
 
@@ -158,7 +158,7 @@ impl Vehicle {
         }
         vehicle.affected_in_flight = !(vehicle.thrusts.is_empty() && vehicle.bodies.is_empty());
         vehicle.jumps = vehicle.bodies.iter().any(|effect| effect.follows_command_at_once());
-        vehicle.blow();
+        vehicle.update_wind();
         vehicle.slope = vehicle.slope_now();
         vehicle
     }
@@ -222,8 +222,8 @@ impl Vehicle {
 
     /// The truth now, for sensors and effects.
     #[inline(always)]
-    pub fn moment(&self) -> Moment<'_> {
-        Moment {
+    pub fn moment(&self) -> Snapshot<'_> {
+        Snapshot {
             time_s: self.steps as f64 * self.step_s,
             state: &self.state,
             specific_force: self.specific_force(),
@@ -280,13 +280,13 @@ impl Vehicle {
         self.rotors = end;
         self.steps += 1;
         if OPTIONAL && !self.winds.is_empty() {
-            self.blow();
+            self.update_wind();
         }
         self.slope = self.slope_at(&self.state, &end);
     }
 
     /// The air's velocity from here on. The slope that follows is that of the new wind.
-    fn blow(&mut self) {
+    fn update_wind(&mut self) {
         let mut effects = std::mem::take(&mut self.winds);
         let at = self.moment();
         self.wind = effects.iter_mut().fold(Vec3::ZERO, |sum, effect| sum + effect.velocity(&at));

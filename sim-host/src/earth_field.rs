@@ -38,11 +38,11 @@ impl Place {
     /// # Errors
     /// A place that is not on the Earth, a height or a date that the model does not cover.
     pub fn field_ut(&self) -> Result<Vec3<f64>, InputError> {
-        check::within("scene.place.latitude_deg", self.latitude_deg, -90.0, 90.0, "deg")?;
-        check::within("scene.place.longitude_deg", self.longitude_deg, -180.0, 180.0, "deg")?;
-        check::within("scene.place.altitude_m", self.altitude_m, -1000.0, 850_000.0, "m")?;
+        check::in_range("scene.place.latitude_deg", self.latitude_deg, -90.0, 90.0, "deg")?;
+        check::in_range("scene.place.longitude_deg", self.longitude_deg, -180.0, 180.0, "deg")?;
+        check::in_range("scene.place.altitude_m", self.altitude_m, -1000.0, 850_000.0, "m")?;
         // WMM2020 to the end of 2024, WMM2025 from then to the end of 2029.
-        check::within("scene.place.year", self.year, 2020.0, 2029.999, "AD")?;
+        check::in_range("scene.place.year", self.year, 2020.0, 2029.999, "AD")?;
         let refused = |error: String| InputError::new(error).field("scene.place");
         let field = GeomagneticField::new(
             Length::new::<meter>(self.altitude_m as f32),
@@ -68,7 +68,7 @@ impl Place {
     }
 }
 
-/// Declination of a field, rad, positive east: where the compass needle points.
+/// Declination of a field, rad, positive east: where the magnetometer needle points.
 pub fn declination_rad(field: Vec3<f64>) -> f64 {
     libm::atan2(field.y, field.x)
 }

@@ -30,7 +30,7 @@ use xxhash_rust::xxh3::Xxh3;
 use crate::attitude_error::{AttitudeError, AttitudeRmse};
 use crate::dynamics::{State, Vehicle};
 use crate::effects::delivery::BoxedDelivery;
-use crate::effects::{Moment, OPTIONAL};
+use crate::effects::{OPTIONAL, Snapshot};
 use crate::pilot::{FRAME_RATE_HZ, Pilot};
 use crate::scene::{DEFAULT_RATE_HZ, MAG_RATE_HZ, Scene};
 use crate::sensors::{Sensors, deliver};
@@ -106,7 +106,7 @@ pub struct StepView<'a> {
     /// The truth at this time.
     pub truth: &'a State,
     /// The truth as the sensors and effects see it.
-    pub moment: Moment<'a>,
+    pub moment: Snapshot<'a>,
     /// Where the pilot wants the vehicle, north, east, down, m.
     pub target_m: Option<Vec3<f64>>,
     /// True rotor speeds, rad/s.

@@ -11,7 +11,7 @@ use flight_core::geometry::{Quaternion, Vec3, vec3};
 use flight_core::sample::{ImuSample, LinkStatus, MagSample, RcFrame};
 
 use crate::dynamics::{GRAVITY, State};
-use crate::effects::Moment;
+use crate::effects::Snapshot;
 use crate::effects::delivery::{Delivery, ImuEffect, MagEffect};
 use crate::effects::vehicle::{BodyEffect as _, Load, Point, Stage, VehicleEffect};
 use crate::scene::{DEFAULT_RATE_HZ, MAG_RATE_HZ, Scene};
@@ -56,8 +56,8 @@ fn time(mut call: impl FnMut(u32)) -> f64 {
 }
 
 /// The truth in flight, `k` milliseconds after the start.
-fn moment(k: u32) -> Moment<'static> {
-    Moment {
+fn moment(k: u32) -> Snapshot<'static> {
+    Snapshot {
         time_s: f64::from(k) * 1e-3,
         state: &IN_FLIGHT,
         specific_force: vec3(0.5, -0.4, -GRAVITY),

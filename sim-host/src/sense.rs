@@ -4,7 +4,7 @@
 //! bench, where nothing but the sensors has to be computed.
 
 use crate::dynamics::Vehicle;
-use crate::effects::Moment;
+use crate::effects::Snapshot;
 use crate::flight::{Flight, Observer, STEP_US, StepView};
 use crate::log::{LogRow, LogWriter};
 use crate::scene::{DEFAULT_RATE_HZ, MAG_RATE_HZ, Scene};
@@ -39,7 +39,7 @@ impl<'a> Sampler<'a> {
 
     /// Takes one sample of the truth.
     #[inline(always)]
-    fn sample(&mut self, at: &Moment, moving: bool) {
+    fn sample(&mut self, at: &Snapshot, moving: bool) {
         let imu = self.sensors.imu(at);
         let mut mag = None;
         if self.until_mag == 0 {
@@ -110,7 +110,7 @@ pub fn run(scene: &Scene, seed: u64, rate_hz: u32, out: Option<&mut LogWriter>) 
         let at_rest = vehicle.moment();
         let samples = libm::round(scene.duration_s * f64::from(rate_hz)) as u64;
         for k in 0..samples {
-            let at = Moment { time_s: k as f64 / f64::from(rate_hz), ..at_rest };
+            let at = Snapshot { time_s: k as f64 / f64::from(rate_hz), ..at_rest };
             sampler.sample(&at, true);
         }
         sampler

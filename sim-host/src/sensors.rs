@@ -9,7 +9,7 @@ use flight_core::sample::{ImuSample, MagSample};
 use wide::f64x4;
 
 use crate::effects::delivery::{BoxedDelivery, Jitter};
-use crate::effects::{BoxedSensorEffect, Moment, OPTIONAL};
+use crate::effects::{BoxedSensorEffect, OPTIONAL, Snapshot};
 
 /// A chip's 16-bit converter.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -63,7 +63,7 @@ impl Sensor {
 
     /// The reading of a true value, before the converter.
     #[inline(always)]
-    pub fn measure(&mut self, truth: Vec3<f64>, at: &Moment) -> Vec3<f64> {
+    pub fn measure(&mut self, truth: Vec3<f64>, at: &Snapshot) -> Vec3<f64> {
         let mut reading = truth;
         if OPTIONAL {
             for (_, effect) in &mut self.effects {
@@ -75,7 +75,7 @@ impl Sensor {
 
     /// The counts for a true value.
     #[inline(always)]
-    pub fn sample(&mut self, truth: Vec3<f64>, at: &Moment) -> [i16; 3] {
+    pub fn sample(&mut self, truth: Vec3<f64>, at: &Snapshot) -> [i16; 3] {
         let reading = self.measure(truth, at);
         self.converter.convert(reading)
     }
@@ -125,7 +125,7 @@ impl Sensors {
 
     /// What arrives of gyroscope and accelerometer. Called once a step.
     #[inline(always)]
-    pub fn imu(&mut self, at: &Moment) -> Option<ImuSample> {
+    pub fn imu(&mut self, at: &Snapshot) -> Option<ImuSample> {
         let mut arrived = None;
         if !OPTIONAL || (self.jitter.is_none() && self.imu_delivery.is_empty()) {
             arrived = Some(self.imu_at(at));
@@ -137,7 +137,7 @@ impl Sensors {
 
     /// What arrives of the magnetometer. Called when it takes a sample.
     #[inline(always)]
-    pub fn mag(&mut self, at: &Moment) -> Option<MagSample> {
+    pub fn mag(&mut self, at: &Snapshot) -> Option<MagSample> {
         let field = at.state.attitude.to_matrix().transpose() * self.field_ut;
         let sample = MagSample { counts: self.mag.sample(field, at) };
         if !OPTIONAL || self.mag_delivery.is_empty() {
@@ -150,7 +150,7 @@ impl Sensors {
     }
 
     #[inline(always)]
-    fn imu_at(&mut self, at: &Moment) -> ImuSample {
+    fn imu_at(&mut self, at: &Snapshot) -> ImuSample {
         ImuSample {
             gyro: self.gyro.sample(at.state.rates, at),
             accel: self.accel.sample(at.specific_force, at),
@@ -160,7 +160,7 @@ impl Sensors {
     /// Out of the way of scenes that name none of this: handing samples from effect to effect through memory
     /// would cost them more than their noise does.
     #[inline(never)]
-    fn imu_delivered(&mut self, at: &Moment, arrived: &mut Option<ImuSample>) {
+    fn imu_delivered(&mut self, at: &Snapshot, arrived: &mut Option<ImuSample>) {
         let sample = match &mut self.jitter {
             None => self.imu_at(at),
             Some(jitter) => {

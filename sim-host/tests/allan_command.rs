@@ -354,7 +354,7 @@ fn a_simulated_hour_with_table_2_reads_back() {
     use allan::{Phase, Statistic, Taus};
     use flight_core::geometry::Vec3;
     use sim_host::dynamics::Vehicle;
-    use sim_host::effects::Moment;
+    use sim_host::effects::Snapshot;
 
     const RATE_HZ: f64 = 100.0;
     let put_in = [1.9368, 1.239, 1.239].map(|n: f64| (n / 60.0).to_radians());
@@ -367,7 +367,7 @@ fn a_simulated_hour_with_table_2_reads_back() {
         let mut gyro = scene.gyro(seed, RATE_HZ);
         let mut axes = [vec![], vec![], vec![]];
         for k in 0..360_000 {
-            let at = Moment { time_s: f64::from(k) / RATE_HZ, ..vehicle.moment() };
+            let at = Snapshot { time_s: f64::from(k) / RATE_HZ, ..vehicle.moment() };
             let counts = gyro.sample(Vec3::ZERO, &at);
             let reading = <[f64; 3]>::from(gyro.nominal(counts));
             axes.iter_mut().zip(reading).for_each(|(axis, y)| axis.push(y));

@@ -290,7 +290,7 @@ fn config_writes_the_record_that_the_board_reads() {
 fn the_record_has_the_vehicles_mounting() {
     let directory = tempfile::tempdir().unwrap();
     let scene = "include = \"hover\"\n[vehicle.mounting]\nboard = [\"right\", \"backward\", \"down\"]\n\
-                 compass = [\"left\", \"backward\", \"up\"]\n";
+                 magnetometer = [\"left\", \"backward\", \"up\"]\n";
     std::fs::write(directory.path().join("turned.toml"), scene).unwrap();
     let output = sim_host(&["config", "turned.toml", "--out", "config.bin"], directory.path());
     assert!(output.status.success(), "{output:?}");

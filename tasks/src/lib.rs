@@ -1,5 +1,5 @@
 //! What the firmware's tasks decide without touching a register: from the data-ready line to a sample ([`sampling`]), who
-//! is on time ([`watch`]), and the counts for the log ([`tally`]).
+//! is on time ([`deadlines`]), and the counts for the log ([`counters`]).
 //!
 //! It is the same code on every board, and on a host, where it is tested.
 #![no_std]
@@ -7,9 +7,9 @@
 #![warn(missing_docs)]
 
 pub mod clock;
+pub mod counters;
+pub mod deadlines;
 pub mod sampling;
-pub mod tally;
-pub mod watch;
 
 /// Time from one inertial sample to the next, µs: the rate of [`flight_core::Params::default`].
 pub const PERIOD_US: u32 = 1_000;

@@ -1,4 +1,4 @@
-//! From the data-ready line to a sample: what wakes the flight task, and what it finds.
+//! From the data-ready line to a sample: what wakes the control loop, and what it finds.
 //!
 //! ```text
 //!      0 µs    data ready       the board's interrupt notes the time, starts the burst          [`ready`]
@@ -30,11 +30,11 @@ use drivers::icm42688p::{FRAME_LEN, Frame, FrameError, Recovery, decode};
 use flight_core::sample::ImuSample;
 
 use crate::clock::Clock;
-use crate::tally::TALLY;
+use crate::counters::COUNTERS;
 
 /// A burst takes 13 µs. One that takes longer than this hangs, µs.
 const BURST_LIMIT_US: i32 = 100;
-/// So often the flight task may be woken without finishing a run; then it hangs, and the motors stop: 20 ms,
+/// So often the control loop may be woken without finishing a run; then it hangs, and the motors stop: 20 ms,
 /// long before the watchdog resets the board.
 pub const UNSERVED_LIMIT: u32 = 20;
 
@@ -42,7 +42,7 @@ pub const UNSERVED_LIMIT: u32 = 20;
 static OWNER: AtomicU8 = AtomicU8::new(NOBODY);
 const NOBODY: u8 = 0;
 /// A burst is on its way, or its frame has not been taken.
-const BURST: u8 = 1;
+const DMA: u8 = 1;
 /// The sensor is being set up.
 const SET_UP: u8 = 2;
 
@@ -56,7 +56,7 @@ static RISEN: AtomicBool = AtomicBool::new(false);
 static OVERDUE: AtomicBool = AtomicBool::new(false);
 /// When that was.
 static OVERDUE_US: AtomicU32 = AtomicU32::new(0);
-/// Wake-ups since the flight task last finished a run.
+/// Wake-ups since the control loop last finished a run.
 static UNSERVED: AtomicU32 = AtomicU32::new(0);
 /// Edges of the data-ready line while the sensor was being set up.
 static EDGES: AtomicU32 = AtomicU32::new(0);
@@ -81,11 +81,11 @@ pub fn ready(at_us: u32, running: bool) -> Next {
             begin_burst(at_us, false);
             return wake_up(Next::Burst);
         }
-        BURST => {
+        DMA => {
             if running {
                 RISEN.store(true, Ordering::Relaxed);
             } else {
-                TALLY.late.add();
+                COUNTERS.late.add();
             }
         }
         _ => {
@@ -117,10 +117,10 @@ fn begin_burst(at_us: u32, polled: bool) {
     READY_US.store(at_us, Ordering::Relaxed);
     POLLED.store(polled, Ordering::Relaxed);
     RISEN.store(false, Ordering::Relaxed);
-    OWNER.store(BURST, Ordering::Release);
+    OWNER.store(DMA, Ordering::Release);
 }
 
-/// The flight task has finished a run.
+/// The control loop has finished a run.
 pub fn served() {
     UNSERVED.store(0, Ordering::Relaxed);
 }
@@ -238,7 +238,7 @@ pub struct Sample {
     pub polled: bool,
 }
 
-/// The flight task's side.
+/// The control loop's side.
 pub struct Sampler<B> {
     bus: B,
     clock: Clock,
@@ -260,7 +260,7 @@ impl<B: BurstBus> Sampler<B> {
         if overdue {
             OVERDUE.store(false, Ordering::Relaxed);
         }
-        if OWNER.load(Ordering::Acquire) == BURST {
+        if OWNER.load(Ordering::Acquire) == DMA {
             let ready_us = READY_US.load(Ordering::Relaxed);
             // Negative if the burst was started since this run began.
             let running_us = now_us.wrapping_sub(ready_us) as i32;
@@ -279,7 +279,7 @@ impl<B: BurstBus> Sampler<B> {
         if !overdue {
             return None;
         }
-        TALLY.lost.add();
+        COUNTERS.lost.add();
         let woken_us = OVERDUE_US.load(Ordering::Relaxed);
         Some(Sample { time_us: self.clock.at(woken_us), woken_us, imu: None, polled: false })
     }
@@ -293,11 +293,11 @@ impl<B: BurstBus> Sampler<B> {
         let time_us = self.clock.at(woken_us);
         // The line is silent because there is no new sample: it is lost, and the line is well.
         if polled && frame == Err(FrameError::Repeated) {
-            TALLY.lost.add();
+            COUNTERS.lost.add();
             return Sample { time_us, woken_us, imu: None, polled: false };
         }
         if polled {
-            TALLY.polled.add();
+            COUNTERS.polled.add();
         }
         Sample { time_us, woken_us, imu: counted(frame), polled }
     }
@@ -308,10 +308,10 @@ impl<B: BurstBus> Sampler<B> {
 fn counted(frame: Result<ImuSample, FrameError>) -> Option<ImuSample> {
     match frame {
         Ok(sample) => return Some(sample),
-        Err(FrameError::Repeated) => TALLY.repeated.add(),
-        Err(FrameError::Torn) => TALLY.late.add(),
-        Err(FrameError::NoData | FrameError::Reset) => TALLY.invalid.add(),
-        Err(FrameError::NoAnswer) => TALLY.unreadable.add(),
+        Err(FrameError::Repeated) => COUNTERS.repeated.add(),
+        Err(FrameError::Torn) => COUNTERS.late.add(),
+        Err(FrameError::NoData | FrameError::Reset) => COUNTERS.invalid.add(),
+        Err(FrameError::NoAnswer) => COUNTERS.unreadable.add(),
     }
     None
 }

@@ -19,7 +19,7 @@
 use flight_core::geometry::Vec3;
 use flight_core::prefilter::{Biquad, Prefilter};
 use sim_host::dynamics::Vehicle;
-use sim_host::effects::Moment;
+use sim_host::effects::Snapshot;
 use sim_host::scene::Scene;
 use sim_host::sensors::Sensor;
 
@@ -49,7 +49,7 @@ fn sample(
 ) {
     let vehicle = Vehicle::at_rest(scene.vehicle, scene.mount(), vec![], 1e-3);
     for k in 0..(scene.duration_s * rate_hz).round() as u32 {
-        let at = Moment { time_s: f64::from(k) / rate_hz, ..vehicle.moment() };
+        let at = Snapshot { time_s: f64::from(k) / rate_hz, ..vehicle.moment() };
         let counts = sensor.sample(truth, &at);
         take(sensor.nominal(counts));
     }

@@ -5,14 +5,14 @@ use std::cell::{Cell, RefCell};
 use std::rc::Rc;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-use drivers::icm42688p::{BURST, FRAME_LEN, Frame, Progress, Setup};
+use drivers::icm42688p::{BURST_READ, FRAME_LEN, Frame, Progress, Setup};
 use embedded_hal::spi::SpiDevice;
 use flight_core::sample::ImuSample;
 use proptest::prelude::*;
 use sim_host::chips::icm42688p::Icm42688p;
 use sim_host::chips::{Clock, Fault};
+use tasks::counters::COUNTERS;
 use tasks::sampling::{self, BurstBus, Next, Sample, Sampler, Signal};
-use tasks::tally::TALLY;
 
 const US: u64 = 1_000;
 const MS: u64 = 1_000_000;
@@ -158,7 +158,7 @@ proptest! {
             let (entries, samples) = enter(&dma, &mut sampler, pended, now_us);
             prop_assert_eq!(entries, u32::from(up));
             prop_assert!(samples.len() <= 1);
-            // Nothing is counted against a flight task that runs.
+            // Nothing is counted against a control loop that runs.
             sampling::served();
         }
     }
@@ -241,7 +241,7 @@ impl Board {
     fn burst_or_pend(&mut self, starts: bool) {
         let mut pended = !starts;
         if starts {
-            let mut frame = BURST;
+            let mut frame = BURST_READ;
             match self.chip.transfer_in_place(&mut frame) {
                 Ok(()) => {
                     *self.dma.frame.borrow_mut() = frame;
@@ -342,20 +342,20 @@ fn a_broken_data_ready_line_is_polled_around() {
     let mut board = Board::new();
     board.run(200 * MS);
     board.steps.clear();
-    TALLY.polled.take();
+    COUNTERS.polled.take();
     board.connected = false;
     board.run(2 * S);
     let samples = board.steps.iter().filter(|step| step.1).count();
     assert!((1_950..=2_000).contains(&samples), "{samples}");
-    assert!((1_990..=2_000).contains(&TALLY.polled.take()));
+    assert!((1_990..=2_000).contains(&COUNTERS.polled.take()));
     assert!(board.longest_gaps_us().0 <= 3_000);
     // It is mended: the edges are enough again.
     board.connected = true;
     board.run(10 * MS);
     board.steps.clear();
-    TALLY.polled.take();
+    COUNTERS.polled.take();
     board.run(S);
-    assert_eq!(TALLY.polled.take(), 0);
+    assert_eq!(COUNTERS.polled.take(), 0);
     assert!(board.longest_gaps_us().0 <= 1_020);
 }
 

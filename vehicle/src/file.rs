@@ -11,7 +11,7 @@ use flight_core::prefilter::MAX_RATE_PER_CUTOFF;
 use flight_core::rc::{ArmBy, ChannelMap};
 use input::InputError;
 use input::axes::Axes;
-use input::check::{between, unknown, within};
+use input::check::{in_open_range, in_range, unknown};
 use serde::Deserialize;
 
 use crate::tune::{self, MARGIN_DEG};
@@ -54,7 +54,7 @@ pub struct File {
     #[serde(default)]
     battery: Battery,
     #[serde(default)]
-    radio: Radio,
+    rc: Radio,
     #[serde(default)]
     mounting: Mounting,
 }
@@ -201,7 +201,7 @@ struct Battery {
     critical_v_per_cell: Option<f64>,
 }
 
-/// `[radio]`
+/// `[rc]`
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 struct Radio {
@@ -224,13 +224,13 @@ impl Default for Radio {
 #[serde(deny_unknown_fields, default)]
 struct Mounting {
     board: [String; 3],
-    compass: [String; 3],
+    magnetometer: [String; 3],
 }
 
 impl Default for Mounting {
     fn default() -> Self {
         let along = ["forward", "right", "down"].map(String::from);
-        Self { board: along.clone(), compass: along }
+        Self { board: along.clone(), magnetometer: along }
     }
 }
 
@@ -253,7 +253,7 @@ fn one_of(table: &str, keys: &[(&str, bool)]) -> Result<(), InputError> {
 }
 
 fn each(field: &str, values: [f64; 3], minimum: f64, maximum: f64, unit: &str) -> Result<(), InputError> {
-    values.into_iter().try_for_each(|value| within(field, value, minimum, maximum, unit))
+    values.into_iter().try_for_each(|value| in_range(field, value, minimum, maximum, unit))
 }
 
 /// The same number, if it is given, after its check.
@@ -264,7 +264,7 @@ fn given(
     maximum: f64,
     unit: &str,
 ) -> Result<Option<f64>, InputError> {
-    value.map(|value| within(field, value, minimum, maximum, unit).map(|()| value)).transpose()
+    value.map(|value| in_range(field, value, minimum, maximum, unit).map(|()| value)).transpose()
 }
 
 /// What is found on the way.
@@ -280,8 +280,8 @@ impl Notes {
 impl File {
     pub fn build(self, name: &str) -> Result<Vehicle, InputError> {
         let mut notes = Notes::default();
-        within("mass_g", self.mass_g, 10.0, 1.0e5, "g")?;
-        within("cells", f64::from(self.cells), 1.0, 24.0, "cells")?;
+        in_range("mass_g", self.mass_g, 10.0, 1.0e5, "g")?;
+        in_range("cells", f64::from(self.cells), 1.0, 24.0, "cells")?;
         let mass_kg = self.mass_g / 1e3;
         let params = self.params(mass_kg, &mut notes)?;
 
@@ -324,7 +324,7 @@ impl File {
         let prefilter_hz = self.filters.prefilter_hz.hz();
         if let Some(cutoff_hz) = prefilter_hz {
             let (least_hz, most_hz) = prefilter_range_hz();
-            between("filters.prefilter_hz", cutoff_hz, least_hz, most_hz, PREFILTER_ALLOWED)?;
+            in_open_range("filters.prefilter_hz", cutoff_hz, least_hz, most_hz, PREFILTER_ALLOWED)?;
         }
         let estimator = estimator("filters.estimator", &self.filters.estimator)?;
         let control = self.control(&params, hover, prefilter_hz, &mut notes)?;
@@ -352,7 +352,7 @@ impl File {
             ))
             .field("battery"));
         }
-        let channels = self.radio.channels()?;
+        let channels = self.rc.channels()?;
         Ok(Vehicle {
             name: name.into(),
             description: self.description,
@@ -366,12 +366,12 @@ impl File {
             critical_voltage_v,
             descent_throttle: DESCENT_SHARE * hover,
             channels,
-            arm_by: match self.radio.arm_by {
+            arm_by: match self.rc.arm_by {
                 ArmByName::Sticks => ArmBy::Sticks,
                 ArmByName::Switch => ArmBy::Switch,
             },
             board_axes: Axes::parse("mounting.board", &self.mounting.board)?,
-            compass_axes: Axes::parse("mounting.compass", &self.mounting.compass)?,
+            magnetometer_axes: Axes::parse("mounting.magnetometer", &self.mounting.magnetometer)?,
             derived: notes.0,
         })
     }
@@ -384,7 +384,7 @@ impl File {
         let thrust_coefficient = rotors.thrust_coefficient(max_rad_s, notes)?;
         let torque_coefficient = rotors.torque_coefficient(thrust_coefficient, notes)?;
         let rotor_inertia_kg_m2 = rotors.rotor_inertia(notes)?;
-        within("rotors.lag_ms", rotors.lag_ms, 1.0, 500.0, "ms")?;
+        in_range("rotors.lag_ms", rotors.lag_ms, 1.0, 500.0, "ms")?;
         let inertia_kg_m2 = self.inertia.build(mass_kg, forward_m, right_m, notes)?;
         let feet_m = match given("feet_mm", self.feet_mm, 5.0, 1e3, "mm")? {
             Some(feet_mm) => feet_mm / 1e3,
@@ -450,10 +450,10 @@ impl File {
         notes: &mut Notes,
     ) -> Result<ControlParams, InputError> {
         let Rates { max_tilt_deg, max_deg_s, max_yaw_deg_s, max_tilt_deg_s } = self.rates;
-        within("rates.max_tilt_deg", max_tilt_deg, 1.0, 80.0, "deg")?;
-        within("rates.max_deg_s", max_deg_s, 1.0, 2_000.0, "deg/s")?;
-        within("rates.max_yaw_deg_s", max_yaw_deg_s, 1.0, 2_000.0, "deg/s")?;
-        within("rates.max_tilt_deg_s", max_tilt_deg_s, 1.0, 2_000.0, "deg/s")?;
+        in_range("rates.max_tilt_deg", max_tilt_deg, 1.0, 80.0, "deg")?;
+        in_range("rates.max_deg_s", max_deg_s, 1.0, 2_000.0, "deg/s")?;
+        in_range("rates.max_yaw_deg_s", max_yaw_deg_s, 1.0, 2_000.0, "deg/s")?;
+        in_range("rates.max_tilt_deg_s", max_tilt_deg_s, 1.0, 2_000.0, "deg/s")?;
         let mut control = ControlParams {
             max_tilt_rad: max_tilt_deg.to_radians() as f32,
             max_stick_rate_rad_s: max_deg_s.to_radians() as f32,
@@ -471,8 +471,8 @@ impl File {
             notes.add("gains of the rate loops, tilt and yaw", value, how, false);
             return Ok(control);
         };
-        within("gains.tilt_p", gains.tilt_p, 0.0, 100.0, "1/s")?;
-        within("gains.heading_p", gains.heading_p, 0.0, 100.0, "1/s")?;
+        in_range("gains.tilt_p", gains.tilt_p, 0.0, 100.0, "1/s")?;
+        in_range("gains.heading_p", gains.heading_p, 0.0, 100.0, "1/s")?;
         each("gains.rate_p", gains.rate_p, 0.0, 1e3, "1/s")?;
         each("gains.rate_i", gains.rate_i, 0.0, 1e4, "1/s²")?;
         each("gains.rate_d", gains.rate_d, 0.0, 10.0, "")?;
@@ -518,19 +518,18 @@ impl Radio {
             return Err(InputError::new(
                 "must be A, E, T and R in the order of the channels, such as AETR or TAER",
             )
-            .field("radio.order")
+            .field("rc.order")
             .value(&self.order));
         };
-        for (field, channel) in
-            [("radio.arm_channel", self.arm_channel), ("radio.mode_channel", self.mode_channel)]
+        for (field, channel) in [("rc.arm_channel", self.arm_channel), ("rc.mode_channel", self.mode_channel)]
         {
-            within(field, f64::from(channel), 5.0, 16.0, "(1 to 4 are the sticks)")?;
+            in_range(field, f64::from(channel), 5.0, 16.0, "(1 to 4 are the sticks)")?;
         }
         if self.arm_channel == self.mode_channel {
             return Err(InputError::new(
                 "arm_channel and mode_channel must differ (5 and 6 where the file has none)",
             )
-            .field("radio")
+            .field("rc")
             .value(self.mode_channel));
         }
         Ok(ChannelMap { sticks: [t, a, e, r], arm: self.arm_channel - 1, mode: self.mode_channel - 1 })

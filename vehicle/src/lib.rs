@@ -198,7 +198,7 @@ pub struct Vehicle {
     /// Where the board's forward, right and down point in the vehicle.
     pub board_axes: Axes,
     /// Where the magnetometer's x, y and z point in the vehicle.
-    pub compass_axes: Axes,
+    pub magnetometer_axes: Axes,
     /// What the file does not say, and how it was found.
     pub derived: Vec<Derived>,
 }
@@ -273,7 +273,7 @@ impl Vehicle {
     pub fn mounted(&self, mut params: Params) -> Params {
         params.gyro.mounting = matrix(&self.board_axes);
         params.accel.mounting = matrix(&self.board_axes);
-        params.mag.mounting = matrix(&self.compass_axes);
+        params.mag.mounting = matrix(&self.magnetometer_axes);
         params
     }
 }

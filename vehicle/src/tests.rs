@@ -211,16 +211,16 @@ fn mistakes_are_named() {
 
 #[test]
 fn the_receivers_channels_are_those_of_the_file() {
-    let radio = |lines: &str| Vehicle::parse("x.toml", &format!("{}\n[radio]\n{lines}", BUILT_IN[0].1));
+    let rc = |lines: &str| Vehicle::parse("x.toml", &format!("{}\n[rc]\n{lines}", BUILT_IN[0].1));
     assert_eq!(os4().channels, ChannelMap::AETR);
-    let taer = radio("order = \"TAER\"\narm_channel = 7\narm_by = \"switch\"").unwrap();
+    let taer = rc("order = \"TAER\"\narm_channel = 7\narm_by = \"switch\"").unwrap();
     assert_eq!(taer.channels, ChannelMap { sticks: [0, 1, 2, 3], arm: 6, mode: 5 });
     assert_eq!(taer.arm_by, ArmBy::Switch);
     for (lines, said) in [
-        ("order = \"AETT\"", "radio.order = AETT: must be A, E, T and R"),
-        ("arm_channel = 3", "radio.arm_channel = 3: must be from 5 to 16"),
-        ("mode_channel = 5", "radio = 5: arm_channel and mode_channel must differ"),
+        ("order = \"AETT\"", "rc.order = AETT: must be A, E, T and R"),
+        ("arm_channel = 3", "rc.arm_channel = 3: must be from 5 to 16"),
+        ("mode_channel = 5", "rc = 5: arm_channel and mode_channel must differ"),
     ] {
-        assert!(radio(lines).unwrap_err().to_string().contains(said), "{lines}");
+        assert!(rc(lines).unwrap_err().to_string().contains(said), "{lines}");
     }
 }

@@ -38,7 +38,7 @@ const TILT: Shape = Shape { lead: 0.8, i: 0.024, k: 0.22, with_angle: true };
 const YAW: Shape = Shape { lead: 0.0, i: 0.11, k: 0.42, with_angle: false };
 
 /// Largest P, 1/s: beyond it a gyroscope's noise turns the motors.
-const MOST_P: f64 = 300.0;
+const MAX_P: f64 = 300.0;
 
 /// Share of what the rotors can do about an axis at hover that the integrators may hold: room for a centre of gravity
 /// that is off, and no more.
@@ -63,7 +63,7 @@ impl Shape {
             margin.phase_deg >= margin_deg && margin.crossover_rad_s * plant.lag_s <= 1.0
         };
         let (mut low, mut high) = (0.1, 0.1);
-        while high < MOST_P && enough(high) {
+        while high < MAX_P && enough(high) {
             low = high;
             high *= 1.02;
         }

@@ -1,11 +1,11 @@
-//! What the board does besides flying: rates, counts, light, pads; and what it refuses.
+//! What the board does besides flying: rates, counts, led, pads; and what it refuses.
 
 use std::path::Path;
 
 use emulator::faults::Fault;
 use emulator::firmware::Firmware;
 use emulator::pads::Line;
-use emulator::radio::Protocol;
+use emulator::rc_receiver::Protocol;
 use flight_core::ArmState;
 
 use super::{assert_healthy, firmware, fly, hover, scene, settings, story};
@@ -50,7 +50,7 @@ fn every_sensor_comes_at_its_rate() {
         handlers.map(|(handler, runs)| (handler.task, runs.count() as f64)).collect();
     let of = |task: &str| runs.iter().find(|(name, _)| *name == task).unwrap().1;
     let seconds = flown.outcome.flown_s();
-    for (task, rate_hz) in [("supply", 50.0), ("compass", 200.0)] {
+    for (task, rate_hz) in [("supply", 50.0), ("magnetometer", 200.0)] {
         assert!((of(task) - rate_hz * seconds).abs() <= 3.0, "{runs:?}");
     }
     // `health` once a second, and 61 runs more: the sensor's set-up, a millisecond each, and the changes of state.
@@ -133,21 +133,21 @@ fn the_interrupt_controller_has_the_priorities_of_the_table() {
     }
 }
 
-/// The light: a flash of 50 ms a second on the ground, lit in flight.
+/// The LED: a flash of 50 ms a second on the ground, lit in flight.
 #[test]
-fn the_light_says_what_the_board_does() {
+fn the_led_shows_what_the_board_does() {
     let flown = fly(&hover(""), &[]);
     assert_healthy(&flown);
     let state_at = |wanted: ArmState| flown.states.iter().find(|(_, state)| *state == wanted).unwrap().0;
     let armed_s = state_at(ArmState::Armed);
     let on_ground: Vec<_> =
-        flown.light.iter().filter(|(at_s, _)| (0.5..armed_s - 1.0).contains(at_s)).collect();
+        flown.led.iter().filter(|(at_s, _)| (0.5..armed_s - 1.0).contains(at_s)).collect();
     let flashes: Vec<f64> =
         on_ground.windows(2).filter(|pair| pair[0].1).map(|pair| pair[1].0 - pair[0].0).collect();
-    assert!(flashes.len() >= 2, "{:?}", flown.light);
+    assert!(flashes.len() >= 2, "{:?}", flown.led);
     assert!(flashes.iter().all(|flash_s| (0.048..0.052).contains(flash_s)), "{flashes:?}");
-    let lit_s = flown.light.iter().find(|(at_s, lit)| *lit && *at_s >= armed_s - 0.01).unwrap().0;
-    let dark_s = flown.light.iter().find(|(at_s, lit)| !lit && *at_s > lit_s).unwrap().0;
+    let lit_s = flown.led.iter().find(|(at_s, lit)| *lit && *at_s >= armed_s - 0.01).unwrap().0;
+    let dark_s = flown.led.iter().find(|(at_s, lit)| !lit && *at_s > lit_s).unwrap().0;
     assert!(lit_s < armed_s + 0.01 && dark_s > 12.0, "lit from {lit_s} to {dark_s} s: {}", story(&flown));
 }
 
@@ -175,7 +175,8 @@ fn pads_are_never_left_floating_once_the_firmware_runs() {
 #[test]
 fn an_sbus_receiver_is_found_and_flown_with() {
     let scene = hover("");
-    let settings = emulator::flight::Settings { radio: Protocol::Sbus, ..settings(firmware(), &scene, &[]) };
+    let settings =
+        emulator::flight::Settings { receiver: Protocol::Sbus, ..settings(firmware(), &scene, &[]) };
     let flown = emulator::flight::fly(&scene, scene.seed, settings, None).unwrap().0;
     assert_healthy(&flown);
 }

@@ -25,7 +25,7 @@ fn flies(board: &str, esc: &str, scene: &Scene, faults: &[(f64, Fault)]) -> Flow
 fn the_mini_flies() {
     let flown = flies("speedybee-f405-mini", "dshot300", &hover(""), &[]);
     assert_healthy(&flown);
-    assert!(flown.light.len() > 2, "its light says something");
+    assert!(flown.led.len() > 2, "its LED says something");
 }
 
 /// TIM8 and TIM1, which have twice the clock and must be let out; one pad is a complementary output.
@@ -61,7 +61,7 @@ fn a_fault_on_the_matek_stops_the_motors() {
 fn a_board_that_is_mounted_otherwise_flies() {
     let scene = hover(
         "[vehicle.mounting]\nboard = [\"right\", \"backward\", \"down\"]\n\
-         compass = [\"left\", \"forward\", \"down\"]\n",
+         magnetometer = [\"left\", \"forward\", \"down\"]\n",
     );
     let flown = flies(::board::DEFAULT, "dshot300", &scene, &[]);
     assert_healthy(&flown);

@@ -50,7 +50,7 @@ fn scenes_that_the_board_does_not_fly_are_refused() {
     std::fs::write(&board, text).unwrap();
     refuses(
         &["hover", "--board", board.to_str().unwrap()],
-        &["mine.toml: light.pin = PC4: is imu.ready's pin already"],
+        &["mine.toml: led.pin = PC4: is imu.ready's pin already"],
     );
     refuses(&[scene.to_str().unwrap(), "--image", &image], &["imu: the scene's ", "icm-42688-p"]);
 }
@@ -100,7 +100,7 @@ fn a_flight_that_does_not_arm_fails_and_says_why() {
     assert_eq!(output.status.code(), Some(1));
     let json: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
     assert_eq!((&json["armed"], &json["took_off"]), (&false.into(), &false.into()), "{json}");
-    assert_eq!(json["complaints"], serde_json::json!(["did not arm: battery low or not measured"]));
+    assert_eq!(json["violations"], serde_json::json!(["did not arm: battery low or not measured"]));
 }
 
 /// Nothing that was measured is lost in silence.

@@ -121,7 +121,7 @@ fn a_data_ready_line_that_sticks_is_flown_through() {
 
 #[test]
 fn a_magnetometer_bus_that_is_held_low_does_not_end_the_flight() {
-    let flown = fly_twice(&hover(""), &[(AT_S, Fault::CompassBusHeld(true))]);
+    let flown = fly_twice(&hover(""), &[(AT_S, Fault::MagnetometerBusHeld(true))]);
     assert_sound(&flown);
     assert_eq!((flown.outcome.crash, flown.outcome.final_state), (None, Disarmed), "{}", story(&flown));
     assert!(flown.resets.is_empty());
@@ -130,7 +130,7 @@ fn a_magnetometer_bus_that_is_held_low_does_not_end_the_flight() {
 
 #[test]
 fn a_magnetometer_that_comes_and_goes_is_found_again() {
-    let faults = [(0.0, Fault::CompassAbsent(true)), (1.0, Fault::CompassAbsent(false))];
+    let faults = [(0.0, Fault::MagnetometerAbsent(true)), (1.0, Fault::MagnetometerAbsent(false))];
     let flown = fly_twice(&hover(""), &faults);
     assert_sound(&flown);
     assert_eq!((flown.outcome.crash, flown.outcome.final_state), (None, Disarmed), "{}", story(&flown));
@@ -140,15 +140,15 @@ fn a_magnetometer_that_comes_and_goes_is_found_again() {
 /// The magnetometer's driver gives its run four milliseconds, whatever the wires do.
 #[test]
 fn a_held_bus_takes_no_more_than_the_time_of_a_run() {
-    let flown = fly(&hover(""), &[(AT_S, Fault::CompassBusHeld(true))]);
-    let compass = flown.wiring.handlers.iter().position(|handler| handler.vector == "CRYP").unwrap();
-    let most_ms = flown.timing.runs[compass].most as f64 / INSTRUCTIONS_PER_SECOND as f64 * 1e3;
+    let flown = fly(&hover(""), &[(AT_S, Fault::MagnetometerBusHeld(true))]);
+    let magnetometer = flown.wiring.handlers.iter().position(|handler| handler.vector == "CRYP").unwrap();
+    let most_ms = flown.timing.runs[magnetometer].most as f64 / INSTRUCTIONS_PER_SECOND as f64 * 1e3;
     assert!((3.0..4.3).contains(&most_ms), "{most_ms} ms: {}", story(&flown));
 }
 
 #[test]
 fn a_magnetometer_that_was_cut_off_in_a_byte_gets_its_clocks() {
-    let flown = fly_twice(&hover(""), &[(AT_S, Fault::CompassCutOff(8))]);
+    let flown = fly_twice(&hover(""), &[(AT_S, Fault::MagnetometerCutOff(8))]);
     assert_sound(&flown);
     assert_eq!((flown.outcome.crash, flown.outcome.final_state), (None, Disarmed), "{}", story(&flown));
     let said = |what: &str| flown.log.iter().filter(|line| line.contains(what)).count();
@@ -278,7 +278,7 @@ fn hangs(task: &'static str, mended_s: f64) -> Flown {
 }
 
 #[test]
-fn a_flight_task_that_hangs_stops_the_motors_and_is_reset() {
+fn a_control_loop_that_hangs_stops_the_motors_and_is_reset() {
     // Twenty wake-ups without an end of its run: 20 ms, and a period of PWM.
     // From then on the stop is all that runs, so that the task may be mended before the reset.
     watchdog_resets(&hangs("DMA2_STREAM0", 0.5), 0.025);
@@ -303,7 +303,7 @@ fn a_tick_that_hangs_is_reset() {
 }
 
 #[test]
-fn a_compass_that_hangs_ends_no_flight() {
+fn a_magnetometer_that_hangs_ends_no_flight() {
     let flown = fly_twice(&hover(""), &[(AT_S, Fault::Hang("CRYP"))]);
     assert_eq!((flown.outcome.crash, flown.resets.len()), (None, 0), "{}", story(&flown));
     assert_eq!(flown.outcome.final_state, Disarmed, "{}", story(&flown));

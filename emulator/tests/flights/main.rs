@@ -19,7 +19,7 @@ use emulator::board::Wiring;
 use emulator::faults::Fault;
 use emulator::firmware::Firmware;
 use emulator::flight::{self, Flown, Settings};
-use emulator::radio::Protocol;
+use emulator::rc_receiver::Protocol;
 use flight_core::ArmState;
 use flight_core::arming::Cause;
 use sim_host::scene::Scene;
@@ -58,7 +58,7 @@ fn settings<'a>(firmware: &'a Firmware, scene: &Scene, faults: &[(f64, Fault)]) 
     Settings {
         firmware,
         wiring: wiring(scene),
-        radio: Protocol::Crsf,
+        receiver: Protocol::Crsf,
         config: Some(scene.board_config()),
         print_log: false,
         after_crash_s: 3.0,

@@ -1,5 +1,5 @@
 //! Counts what the flight code's alternatives take on QEMU's Cortex-M4F, beside the flight code itself: see the
-//! module `gauge`, and the figures in `studies/src/cost/m4.toml`.
+//! module `counter`, and the figures in `studies/src/cost/m4.toml`.
 //!
 //! Everything here is called out of line, and a count has the call in it: "call alone" is a function that returns
 //! its argument. Where a caller would inline a function and share its constants, it takes less: `sin_cos` 35
@@ -10,7 +10,7 @@
 #![no_std]
 #![no_main]
 
-mod gauge;
+mod instruction_counter;
 
 use core::f32::consts::PI;
 use core::fmt::Display;
@@ -31,7 +31,7 @@ use flight_core::estimator::{Estimator, EstimatorParams, Filter, Kinematics, Wei
 use flight_core::geometry::{Quaternion, Vec3, vec3};
 use flight_core::prefilter::{Biquad, Prefilter};
 use flight_core::with_filter;
-use gauge::Gauge;
+use instruction_counter::InstructionCounter;
 use micromath::F32Ext;
 use nalgebra::Vector3;
 use panic_semihosting as _;
@@ -50,34 +50,34 @@ const CUTOFF_HZ: f64 = 30.0;
 
 #[cortex_m_rt::entry]
 fn main() -> ! {
-    let gauge = Gauge::start();
-    functions(&gauge);
-    if let Err(error) = samples(&gauge) {
+    let counter = InstructionCounter::start();
+    functions(&counter);
+    if let Err(error) = samples(&counter) {
         panic!("{error}");
     }
-    gauge::exit()
+    instruction_counter::exit()
 }
 
 /// Measures `stage`, which calls the function at `code`, on each of `inputs`.
 fn row<I, O>(
-    gauge: &Gauge,
+    counter: &InstructionCounter,
     name: impl Display,
     code: *const (),
     inputs: impl Iterator<Item = I>,
     stage: impl FnMut(&I) -> O,
 ) {
-    gauge.stage(&name, inputs, stage);
+    counter.stage(&name, inputs, stage);
     hprintln!("code,{},{:p}", name, code);
 }
 
 /// `name: |x| body` for functions of one number or a pair, over their inputs.
 macro_rules! functions {
-    ($gauge:ident, $inputs:expr; $($name:literal: |$x:ident: $type:ty| $body:expr;)*) => {$({
+    ($counter:ident, $inputs:expr; $($name:literal: |$x:ident: $type:ty| $body:expr;)*) => {$({
         #[inline(never)]
         fn measured($x: $type) -> impl Copy {
             $body
         }
-        row($gauge, concat!("arithmetic ", $name), measured as *const (), $inputs, |x| measured((*x).into()));
+        row($counter, concat!("arithmetic ", $name), measured as *const (), $inputs, |x| measured((*x).into()));
     })*};
 }
 
@@ -102,13 +102,13 @@ fn in_f64(inputs: impl Iterator<Item = f32>) -> impl Iterator<Item = f64> {
 
 /// Sine, cosine and tangent on ±π, arc sine and cosine on ±1, the root on 0 to 100, which is what a tilt, its
 /// sine, and a specific force squared can be.
-fn functions(gauge: &Gauge) {
+fn functions(counter: &InstructionCounter) {
     let turn = || over(-PI..PI);
     let unit = || over(-1.0..1.0);
     let square = || over(0.0..100.0);
     // What of each count is the call and its argument.
-    functions!(gauge, turn(); "call alone": |x: f32| x;);
-    functions!(gauge, turn();
+    functions!(counter, turn(); "call alone": |x: f32| x;);
+    functions!(counter, turn();
         "sin flight-core": |x: f32| arithmetic::sin_cos(x).0;
         "sin libm f32": |x: f32| libm::sinf(x);
         "sin micromath": |x: f32| F32Ext::sin(x);
@@ -121,42 +121,42 @@ fn functions(gauge: &Gauge) {
         "tan libm f32": |x: f32| libm::tanf(x);
         "tan micromath": |x: f32| F32Ext::tan(x);
     );
-    functions!(gauge, in_f64(turn());
+    functions!(counter, in_f64(turn());
         "sin libm f64": |x: f64| libm::sin(x);
         "cos libm f64": |x: f64| libm::cos(x);
         "sin_cos libm f64": |x: f64| libm::sincos(x);
         "tan libm f64": |x: f64| libm::tan(x);
     );
-    functions!(gauge, around();
+    functions!(counter, around();
         "atan2 flight-core": |p: (f32, f32)| arithmetic::atan2(p.0, p.1);
         "atan2 libm f32": |p: (f32, f32)| libm::atan2f(p.0, p.1);
         "atan2 micromath": |p: (f32, f32)| F32Ext::atan2(p.0, p.1);
     );
-    functions!(gauge, around().map(|(y, x)| (f64::from(y), f64::from(x)));
+    functions!(counter, around().map(|(y, x)| (f64::from(y), f64::from(x)));
         "atan2 libm f64": |p: (f64, f64)| libm::atan2(p.0, p.1);
     );
-    functions!(gauge, unit();
+    functions!(counter, unit();
         "asin libm f32": |x: f32| libm::asinf(x);
         "asin micromath": |x: f32| F32Ext::asin(x);
         "acos libm f32": |x: f32| libm::acosf(x);
         "acos micromath": |x: f32| F32Ext::acos(x);
     );
-    functions!(gauge, in_f64(unit());
+    functions!(counter, in_f64(unit());
         "asin libm f64": |x: f64| libm::asin(x);
         "acos libm f64": |x: f64| libm::acos(x);
     );
-    functions!(gauge, square();
+    functions!(counter, square();
         "sqrt flight-core": |x: f32| arithmetic::sqrt(x);
         "sqrt libm f32": |x: f32| libm::sqrtf(x);
         "sqrt micromath": |x: f32| F32Ext::sqrt(x);
     );
-    functions!(gauge, in_f64(square());
+    functions!(counter, in_f64(square());
         "sqrt libm f64": |x: f64| libm::sqrt(x);
     );
 }
 
 /// What takes samples: integration, estimators, prefilters.
-fn samples(gauge: &Gauge) -> Result<(), ConfigError> {
+fn samples(counter: &InstructionCounter) -> Result<(), ConfigError> {
     let params = fixed_input::config().params;
     let gyro = SensorModel::new(SensorFields::GYRO, params.gyro, SensorCalibration::NONE)?;
     let accel = SensorModel::new(SensorFields::ACCEL, params.accel, SensorCalibration::NONE)?;
@@ -172,11 +172,11 @@ fn samples(gauge: &Gauge) -> Result<(), ConfigError> {
         })
     };
     let turns = move || readings().map(|r| r.gyro * DT_S);
-    integration(gauge, "f32", turns);
-    integration(gauge, "f64", || turns().map(|v| vec3(f64::from(v.x), f64::from(v.y), f64::from(v.z))));
-    prefilters(gauge, readings)?;
-    estimators(gauge, readings)?;
-    others(gauge, readings);
+    integration(counter, "f32", turns);
+    integration(counter, "f64", || turns().map(|v| vec3(f64::from(v.x), f64::from(v.y), f64::from(v.z))));
+    prefilters(counter, readings)?;
+    estimators(counter, readings)?;
+    others(counter, readings);
     Ok(())
 }
 
@@ -189,7 +189,11 @@ struct Reading {
 }
 
 /// Per gyroscope sample: an algorithm of two or three samples turns the attitude with every second or third.
-fn integration<T: Real, I: Iterator<Item = Vec3<T>>>(gauge: &Gauge, float: &str, turns: impl Fn() -> I) {
+fn integration<T: Real, I: Iterator<Item = Vec3<T>>>(
+    counter: &InstructionCounter,
+    float: &str,
+    turns: impl Fn() -> I,
+) {
     #[inline(never)]
     fn euler<T: Real>(e: &mut EulerAngles<T>, turn: &Vec3<T>) {
         e.step(*turn);
@@ -199,26 +203,42 @@ fn integration<T: Real, I: Iterator<Item = Vec3<T>>>(gauge: &Gauge, float: &str,
         c.step(*turn);
     }
     let mut e = EulerAngles { angles: Vec3::<T>::ZERO };
-    row(gauge, format_args!("integration Euler angles {float}"), euler::<T> as *const (), turns(), |turn| {
-        euler(&mut e, turn)
-    });
+    row(
+        counter,
+        format_args!("integration Euler angles {float}"),
+        euler::<T> as *const (),
+        turns(),
+        |turn| euler(&mut e, turn),
+    );
     let mut c = Coning::<T, 1>::new(Quaternion::IDENTITY);
-    row(gauge, format_args!("integration 1 sample {float}"), coning::<T, 1> as *const (), turns(), |turn| {
-        coning(&mut c, turn)
-    });
+    row(
+        counter,
+        format_args!("integration 1 sample {float}"),
+        coning::<T, 1> as *const (),
+        turns(),
+        |turn| coning(&mut c, turn),
+    );
     let mut c = Coning::<T, 2>::new(Quaternion::IDENTITY);
-    row(gauge, format_args!("integration 2 samples {float}"), coning::<T, 2> as *const (), turns(), |turn| {
-        coning(&mut c, turn)
-    });
+    row(
+        counter,
+        format_args!("integration 2 samples {float}"),
+        coning::<T, 2> as *const (),
+        turns(),
+        |turn| coning(&mut c, turn),
+    );
     let mut c = Coning::<T, 3>::new(Quaternion::IDENTITY);
-    row(gauge, format_args!("integration 3 samples {float}"), coning::<T, 3> as *const (), turns(), |turn| {
-        coning(&mut c, turn)
-    });
+    row(
+        counter,
+        format_args!("integration 3 samples {float}"),
+        coning::<T, 3> as *const (),
+        turns(),
+        |turn| coning(&mut c, turn),
+    );
 }
 
 /// Per sample of nine channels.
 fn prefilters<I: Iterator<Item = Reading>>(
-    gauge: &Gauge,
+    counter: &InstructionCounter,
     readings: impl Fn() -> I,
 ) -> Result<(), ConfigError> {
     #[inline(never)]
@@ -241,20 +261,20 @@ fn prefilters<I: Iterator<Item = Reading>>(
         Reading { gyro: gyro.step(r.gyro), accel: accel.step(r.accel), mag: mag.step(r.mag) }
     }
 
-    row(gauge, "prefilter none", none as *const (), readings(), none);
+    row(counter, "prefilter none", none as *const (), readings(), none);
     let mut filters = [Pt1::new(CUTOFF_HZ, RATE_HZ); 3];
-    row(gauge, "prefilter PT1", pt1 as *const (), readings(), |r| pt1(&mut filters, r));
+    row(counter, "prefilter PT1", pt1 as *const (), readings(), |r| pt1(&mut filters, r));
     let bank = |section: Biquad| [Prefilter::new(Some(section)); 3];
     let mut filters = bank(Biquad::butterworth(CUTOFF_HZ as f32, RATE_HZ as f32)?);
-    row(gauge, "prefilter 2nd order", second as *const (), readings(), |r| second(&mut filters, r));
+    row(counter, "prefilter 2nd order", second as *const (), readings(), |r| second(&mut filters, r));
     let mut filters = butterworth_4(CUTOFF_HZ, RATE_HZ).map(bank);
-    row(gauge, "prefilter 4th order", fourth as *const (), readings(), |r| fourth(&mut filters, r));
+    row(counter, "prefilter 4th order", fourth as *const (), readings(), |r| fourth(&mut filters, r));
     Ok(())
 }
 
 /// The presets of flight-core, and the paper's filter on a quaternion.
 fn estimators<I: Iterator<Item = Reading>>(
-    gauge: &Gauge,
+    counter: &InstructionCounter,
     readings: impl Fn() -> I,
 ) -> Result<(), ConfigError> {
     #[inline(never)]
@@ -283,16 +303,16 @@ fn estimators<I: Iterator<Item = Reading>>(
         let mut estimator = Estimator::new(&params)?;
         let [code_nine, code_six] = with_filter!(estimator.filter(), filter => code(filter));
         let nine_axis = format_args!("estimator {name} 9-axis");
-        row(gauge, nine_axis, code_nine, readings(), |r| nine(&mut estimator, r));
+        row(counter, nine_axis, code_nine, readings(), |r| nine(&mut estimator, r));
         let mut estimator = Estimator::new(&params)?;
         let six_axis = format_args!("estimator {name} 6-axis");
-        row(gauge, six_axis, code_six, readings(), |r| six(&mut estimator, r));
+        row(counter, six_axis, code_six, readings(), |r| six(&mut estimator, r));
     }
     Ok(())
 }
 
 /// The filters of `uf-ahrs` with its own parameters, in its axes: z up, and the field turned likewise.
-fn others<I: Iterator<Item = Reading>>(gauge: &Gauge, readings: impl Fn() -> I) {
+fn others<I: Iterator<Item = Reading>>(counter: &InstructionCounter, readings: impl Fn() -> I) {
     #[inline(never)]
     fn nine<F: Ahrs>(filter: &mut F, [gyro, accel, mag]: &[Vector3<f32>; 3]) {
         filter.update(*gyro, *accel, *mag);
@@ -302,24 +322,24 @@ fn others<I: Iterator<Item = Reading>>(gauge: &Gauge, readings: impl Fn() -> I) 
         filter.update_imu(*gyro, *accel);
     }
     fn both<F: Ahrs, I: Iterator<Item = [Vector3<f32>; 3]>>(
-        gauge: &Gauge,
+        counter: &InstructionCounter,
         name: &str,
         new: impl Fn() -> F,
         readings: impl Fn() -> I,
     ) {
         let mut f = new();
-        row(gauge, format_args!("estimator {name} 9-axis"), nine::<F> as *const (), readings(), |r| {
+        row(counter, format_args!("estimator {name} 9-axis"), nine::<F> as *const (), readings(), |r| {
             nine(&mut f, r)
         });
         let mut f = new();
-        row(gauge, format_args!("estimator {name} 6-axis"), six::<F> as *const (), readings(), |r| {
+        row(counter, format_args!("estimator {name} 6-axis"), six::<F> as *const (), readings(), |r| {
             six(&mut f, r)
         });
     }
     let period = Duration::from_micros(u64::from(PERIOD_US));
     let up = |v: Vec3<f32>| Vector3::new(v.x, -v.y, -v.z);
     let readings = || readings().map(move |r| [up(r.gyro), up(r.accel), up(r.mag)]);
-    both(gauge, "Mahony", || Mahony::new(period, MahonyParams::default()), readings);
-    both(gauge, "Madgwick", || Madgwick::new(period, MadgwickParams::default()), readings);
-    both(gauge, "VQF", || Vqf::new(period, VqfParams::default()), readings);
+    both(counter, "Mahony", || Mahony::new(period, MahonyParams::default()), readings);
+    both(counter, "Madgwick", || Madgwick::new(period, MadgwickParams::default()), readings);
+    both(counter, "VQF", || Vqf::new(period, VqfParams::default()), readings);
 }

@@ -1,4 +1,4 @@
-//! Counts the instructions of the chain's stages on QEMU's Cortex-M4F: see the module `gauge`.
+//! Counts the instructions of the chain's stages on QEMU's Cortex-M4F: see the module `counter`.
 //!
 //! A stage's count has its call in it, as the compiler placed it.
 //!
@@ -7,7 +7,7 @@
 #![no_std]
 #![no_main]
 
-mod gauge;
+mod instruction_counter;
 
 use core::hint::black_box;
 
@@ -27,7 +27,7 @@ use flight_core::prefilter::{Biquad, Prefilter, Section};
 use flight_core::rc::{CENTRE_TICKS, FlightMode, Sticks};
 use flight_core::sample::RcFrame;
 use flight_core::{ConfigError, FlightController, Input, Output, Params};
-use gauge::{Gauge, Total};
+use instruction_counter::{InstructionCounter, Total};
 use panic_semihosting as _;
 use receiver::{Protocol, Receiver};
 
@@ -38,26 +38,26 @@ const DT_S: f32 = PERIOD_US as f32 * 1.0e-6;
 
 #[cortex_m_rt::entry]
 fn main() -> ! {
-    let gauge = Gauge::start();
-    kernels(&gauge);
-    receivers(&gauge);
-    if let Err(error) = stages(&gauge).and_then(|()| steps(&gauge)).and_then(|()| attitudes()) {
+    let counter = InstructionCounter::start();
+    kernels(&counter);
+    receivers(&counter);
+    if let Err(error) = stages(&counter).and_then(|()| steps(&counter)).and_then(|()| attitudes()) {
         panic!("{error}");
     }
-    gauge::exit()
+    instruction_counter::exit()
 }
 
-fn kernels(gauge: &Gauge) {
+fn kernels(counter: &InstructionCounter) {
     let angles = || INPUTS.map(|slot| (slot - FLIGHT) as f32 * 5.0e-3 - 3.0);
-    gauge.stage("sin_cos", angles(), |x| sin_cos(*x));
-    gauge.stage("atan2", angles(), |x| atan2(*x, 1.0 - *x));
-    gauge.stage("sqrt", angles(), |x| sqrt(x.abs()));
-    gauge.stage("wrap_pi", angles(), |x| wrap_pi(3.0 * *x));
+    counter.stage("sin_cos", angles(), |x| sin_cos(*x));
+    counter.stage("atan2", angles(), |x| atan2(*x, 1.0 - *x));
+    counter.stage("sqrt", angles(), |x| sqrt(x.abs()));
+    counter.stage("wrap_pi", angles(), |x| wrap_pi(3.0 * *x));
 }
 
 /// What `tick` does for each byte of the receiver: centred sticks in both protocols, over and over; and for CRSF
 /// the worst that can come, beginnings of frames that all end with the same byte, and none of which is one.
-fn receivers(gauge: &Gauge) {
+fn receivers(counter: &InstructionCounter) {
     let packed = pack(&[CENTRE_TICKS; 16]);
     let mut crsf = [0; 26];
     crsf[..3].copy_from_slice(&[0xc8, 24, 0x16]);
@@ -76,7 +76,7 @@ fn receivers(gauge: &Gauge) {
         let mut receiver = Receiver::new(protocol);
         let times = (0..2_600).map(|n| (n, (n / bytes.len() * pause_us + n % bytes.len() * 24) as u64));
         let inputs = times.map(|(n, time_us)| (bytes[n % bytes.len()], time_us));
-        gauge.stage(name, inputs, |(byte, time_us)| push(&mut receiver, *byte, *time_us));
+        counter.stage(name, inputs, |(byte, time_us)| push(&mut receiver, *byte, *time_us));
     }
 }
 
@@ -186,7 +186,7 @@ fn dshot_frames(pulses_us: &[f32; 4]) -> [[u32; DSHOT_SLOTS]; 2] {
     [dshot_duty_pairs([m1, m2], 280), dshot_duty_pairs([m3, m4], 280)]
 }
 
-fn stages(gauge: &Gauge) -> Result<(), ConfigError> {
+fn stages(counter: &InstructionCounter) -> Result<(), ConfigError> {
     let params = fixed_input::config().params;
     let mut front = Front::new(&params)?;
 
@@ -194,20 +194,20 @@ fn stages(gauge: &Gauge) -> Result<(), ConfigError> {
         let imu = fixed_input::imu(slot);
         (imu.gyro, imu.accel, fixed_input::mag(slot).counts)
     });
-    gauge.stage("calibration of 3 sensors", counts, |counts| front.apply(counts));
+    counter.stage("calibration of 3 sensors", counts, |counts| front.apply(counts));
     let sensors = Front::new(&params)?;
     // The first sample, which sets the states, is a stage of its own.
     let raw = || INPUTS.map(|slot| sensors.calibrate(&slot));
     front.filter(&sensors.calibrate(&FLIGHT));
-    gauge.stage("9 prefilters", raw(), |raw| front.filter(raw));
+    counter.stage("9 prefilters", raw(), |raw| front.filter(raw));
     let mut first = Total::default();
     for raw in raw() {
         let mut fresh = Front::new(&params)?;
-        first.add(gauge.count(|| fresh.filter(black_box(&raw))).1);
+        first.add(counter.count(|| fresh.filter(black_box(&raw))).1);
     }
     first.print("first sample of 9 prefilters");
     let mut axis = (Biquad::butterworth(30.0, params.imu_rate_hz)?, Section::default());
-    gauge.stage("8 biquads one by one", raw(), |raw| (0..8).fold(raw.gyro.x, |x, _| biquad(&mut axis, x)));
+    counter.stage("8 biquads one by one", raw(), |raw| (0..8).fold(raw.gyro.x, |x, _| biquad(&mut axis, x)));
     // A step of full scale, its tail through the denormals, and then denormals only: the largest is 1.2e-38, and the
     // filter's gain 1.
     let mut axis = (axis.0, Section::default());
@@ -216,7 +216,7 @@ fn stages(gauge: &Gauge) -> Result<(), ConfigError> {
         100..600 => 0.0,
         _ => f32::from_bits((slot % 1_000 * 5_000) | (slot << 31)),
     });
-    gauge.stage("8 biquads down a tail", tail, |x| (0..8).fold(*x, |x, _| biquad(&mut axis, x)));
+    counter.stage("8 biquads down a tail", tail, |x| (0..8).fold(*x, |x, _| biquad(&mut axis, x)));
 
     for (name, preset) in EstimatorParams::PRESETS {
         for (axes, update) in [(9, update_9_axis as fn(&mut Estimator, &Reading)), (6, update_6_axis)] {
@@ -226,14 +226,14 @@ fn stages(gauge: &Gauge) -> Result<(), ConfigError> {
                 let raw = front.calibrate(&slot);
                 front.filter(&raw)
             });
-            gauge
+            counter
                 .stage(format_args!("estimator {name} {axes}-axis"), readings, |r| update(&mut estimator, r));
         }
     }
 
     let mut controller = Controller::new(&params.control, params.airframe.inertia_kg_m2)?;
     controller.set_sticks(&Sticks { throttle: 0.5, roll: 0.2, pitch: -0.1, yaw: 0.0 }, FlightMode::Angle);
-    gauge.stage("sticks", INPUTS.map(fixed_input::sticks), |frame| sticks(&mut controller, frame));
+    counter.stage("sticks", INPUTS.map(fixed_input::sticks), |frame| sticks(&mut controller, frame));
     let mut front = Front::new(&params)?;
     let mut estimator = Estimator::new(&params.estimator)?;
     let states = INPUTS.map(|slot| {
@@ -242,7 +242,7 @@ fn stages(gauge: &Gauge) -> Result<(), ConfigError> {
         update_9_axis(&mut estimator, &reading);
         (estimator, reading)
     });
-    gauge.stage("control", states, |state| control(&mut controller, state));
+    counter.stage("control", states, |state| control(&mut controller, state));
 
     let mixer = Mixer::new(&params.airframe)?;
     let esc = Esc::new(&params.esc, params.airframe.idle_rad_s, params.airframe.max_rad_s)?;
@@ -250,10 +250,10 @@ fn stages(gauge: &Gauge) -> Result<(), ConfigError> {
         thrust_n: (slot % 128) as f32 * 0.1,
         torque_n_m: front.calibrate(&slot).gyro * 0.3,
     });
-    gauge.stage("mixer and ESC", wrenches, |wrench| mix(&mixer, &esc, wrench));
+    counter.stage("mixer and ESC", wrenches, |wrench| mix(&mixer, &esc, wrench));
     let pulses =
         INPUTS.map(|slot| [0.0, 0.25, 0.5, 0.75].map(|share| 1_000.0 + share * (slot % 1_024) as f32));
-    gauge.stage("4 DShot frames", pulses, dshot_frames);
+    counter.stage("4 DShot frames", pulses, dshot_frames);
     Ok(())
 }
 
@@ -263,12 +263,12 @@ fn step(controller: &mut FlightController, input: &Input) -> Output {
 }
 
 /// The whole chain over the whole table, by what there was to do.
-fn steps(gauge: &Gauge) -> Result<(), ConfigError> {
+fn steps(counter: &InstructionCounter) -> Result<(), ConfigError> {
     let mut controller = FlightController::new(&fixed_input::config())?;
     let [mut all, mut disarmed, mut missing, mut six, mut nine] = [Total::default(); 5];
     for slot in 0..STEPS {
         let input = black_box(fixed_input::input(slot));
-        let (output, instructions) = gauge.count(|| step(&mut controller, black_box(&input)));
+        let (output, instructions) = counter.count(|| step(&mut controller, black_box(&input)));
         all.add(instructions);
         let kind = match (input.imu, input.mag, &output.permit) {
             (None, ..) => &mut missing,
@@ -291,7 +291,7 @@ fn steps(gauge: &Gauge) -> Result<(), ConfigError> {
         let mut input = fixed_input::input(slot);
         input.mag = Some(fixed_input::mag(slot));
         let input = black_box(input);
-        let (output, instructions) = gauge.count(|| step(&mut controller, black_box(&input)));
+        let (output, instructions) = counter.count(|| step(&mut controller, black_box(&input)));
         if output.permit.is_some() && INPUTS.contains(&slot) {
             every.add(instructions);
         }

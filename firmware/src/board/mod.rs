@@ -7,18 +7,18 @@
 //! | `Imu::run()` | a step of the inertial sensor's set-up, without waiting |
 //! | `Outputs::drive(permit, pulses_us)` | sends pulses of rotors 1 to 4; takes the permit by value |
 //! | `Outputs::stop()` | sends the stop pulse to all four |
-//! | `Radio::poll() -> Option<RcFrame>` | the next frame that the bytes so far have completed |
-//! | `Supply::measure() -> Option<Battery>` | the battery, without waiting |
-//! | `Compass::run() -> Option<MagSample>` | the magnetometer's new sample; may wait, for less than 5 ms |
+//! | `RcReceiver::poll() -> Option<RcFrame>` | the next frame that the bytes so far have completed |
+//! | `BatteryAdc::measure() -> Option<Battery>` | the battery, without waiting |
+//! | `Magnetometer::run() -> Option<MagSample>` | the magnetometer's new sample; may wait, for less than 5 ms |
 //! | `Watchdog::feed()` | another period |
-//! | `Monitor::show(&Step)` | what the board shows of a step: a light, or a record |
+//! | `Monitor::show(&Step)` | what the board shows of a step: a LED, or a record |
 //! | `now_us() -> u32` | free-running microseconds |
 //! | `stop_after_fault()` | the stop on all four, when nothing else runs any more, whatever state the outputs are in |
 //! | `halt() -> !` | the end, after a fault; the stop goes on |
 //!
 //! # Waking the tasks
-//! RTIC binds a task to one interrupt vector, and takes no vector that depends on the board. So the flight task
-//! is bound to [`crate::interrupts::WAKE_FLIGHT`], which is the end of the sensor's DMA burst on a flight board, and which each board
+//! RTIC binds a task to one interrupt vector, and takes no vector that depends on the board. So the control loop
+//! is bound to [`crate::interrupts::WAKE_CONTROL_LOOP`], which is the end of the sensor's DMA burst on a flight board, and which each board
 //! also raises when 1.5 periods have passed since the last sample. A dead sensor thus ages in the flight
 //! controller, and does not stop it. The `tick` task is bound to SysTick, once a millisecond.
 //!
@@ -38,25 +38,25 @@
 //! | CRYP, DCMI, HASH_RNG (dispatchers) | the same: software alone pends them. The F405 has neither of the first two, and its random number generator is off |
 //!
 //! A board's own interrupt handlers note what happened and when, and ask [`tasks::sampling`] what to do. They have a higher
-//! priority than any task ([`crate::interrupts::SENSE_PRIORITY`]), so that a time is not late because a task runs.
+//! priority than any task ([`crate::interrupts::SAMPLING_PRIORITY`]), so that a time is not late because a task runs.
 
 use flight_core::Config;
 
 pub use crate::step::Step;
 
-#[cfg(feature = "unwired")]
-mod unwired;
-#[cfg(feature = "wired")]
-mod wired;
+#[cfg(feature = "flight-board")]
+mod flight_board;
+#[cfg(feature = "simulated")]
+mod simulated;
 
-#[cfg(feature = "unwired")]
-pub use unwired::*;
-#[cfg(feature = "wired")]
-pub use wired::*;
+#[cfg(feature = "flight-board")]
+pub use flight_board::*;
+#[cfg(feature = "simulated")]
+pub use simulated::*;
 
-#[cfg(all(feature = "unwired", feature = "wired"))]
+#[cfg(all(feature = "simulated", feature = "flight-board"))]
 compile_error!("one board at a time: build the others with --no-default-features --features qemu (or hil)");
-#[cfg(not(any(feature = "unwired", feature = "wired")))]
+#[cfg(not(any(feature = "simulated", feature = "flight-board")))]
 compile_error!("choose a board: wired, qemu or hil");
 
 /// The board's parts, each of which one task owns.
@@ -72,11 +72,11 @@ pub struct Board {
     /// What the board shows of a step.
     pub monitor: Monitor,
     /// The receiver's frames.
-    pub radio: Radio,
+    pub receiver: RcReceiver,
     /// The battery.
-    pub supply: Supply,
+    pub battery_adc: BatteryAdc,
     /// The magnetometer.
-    pub compass: Compass,
+    pub magnetometer: Magnetometer,
     /// What restarts the board if it is not fed.
     pub watchdog: Watchdog,
     /// What has started it, for people.
@@ -87,7 +87,7 @@ pub struct Board {
 
 /// Stops the motors, and nothing else happens until the watchdog resets the board.
 pub fn stop() -> ! {
-    // An unexpected interrupt comes at its own priority, and the flight task must not run again.
+    // An unexpected interrupt comes at its own priority, and the control loop must not run again.
     cortex_m::interrupt::disable();
     stop_after_fault();
     halt()

@@ -25,7 +25,7 @@ use core::sync::atomic::AtomicU8;
 use embedded_hal::delay::DelayNs;
 use embedded_hal::spi::{ErrorKind, ErrorType, Operation, SpiDevice};
 
-use drivers::icm42688p::{BURST, FRAME_LEN, Frame};
+use drivers::icm42688p::{BURST_READ, FRAME_LEN, Frame};
 use stm32f4xx_hal::pac::dma2::st::cr;
 use stm32f4xx_hal::pac::spi1;
 use tasks::sampling::{BurstBus, FrameBuffer, Signal};
@@ -48,7 +48,7 @@ pub struct Wiring {
 }
 
 /// A board's wiring as a type: so that all of it is constant where it is used.
-pub trait Wired {
+pub trait HasWiring {
     /// It.
     const IMU: Wiring;
 }
@@ -61,7 +61,7 @@ static SENT: [AtomicU8; FRAME_LEN] = {
     let mut sent = [const { AtomicU8::new(0) }; FRAME_LEN];
     let mut n = 0;
     while n < FRAME_LEN {
-        sent[n] = AtomicU8::new(BURST[n]);
+        sent[n] = AtomicU8::new(BURST_READ[n]);
         n += 1;
     }
     sent
@@ -139,7 +139,7 @@ impl embedded_hal::spi::Error for Hangs {
     }
 }
 
-impl<W: Wired> ImuSpi<W> {
+impl<W: HasWiring> ImuSpi<W> {
     /// The SPI has been set up, and the chip select is high.
     pub const fn new() -> Self {
         Self(PhantomData)
@@ -161,7 +161,7 @@ impl<W> ErrorType for ImuSpi<W> {
     type Error = Hangs;
 }
 
-impl<W: Wired> SpiDevice for ImuSpi<W> {
+impl<W: HasWiring> SpiDevice for ImuSpi<W> {
     fn transaction(&mut self, operations: &mut [Operation<'_, u8>]) -> Result<(), Hangs> {
         let wiring = W::IMU;
         wiring.drain();
@@ -198,7 +198,7 @@ impl<W: Wired> SpiDevice for ImuSpi<W> {
 /// The bus for bursts.
 pub struct ImuBus<W>(PhantomData<W>);
 
-impl<W: Wired> ImuBus<W> {
+impl<W: HasWiring> ImuBus<W> {
     /// Prepares the streams, whose controller's clock runs.
     pub fn new() -> Self {
         let wiring = W::IMU;
@@ -215,7 +215,7 @@ impl<W: Wired> ImuBus<W> {
     }
 }
 
-impl<W: Wired> BurstBus for ImuBus<W> {
+impl<W: HasWiring> BurstBus for ImuBus<W> {
     const SETS_UP: bool = true;
 
     #[inline]

@@ -30,9 +30,9 @@ pub struct Wiring {
 }
 
 /// A board's wiring as a type: so that all of it is constant where it is used.
-pub trait Wired {
+pub trait HasWiring {
     /// It.
-    const COMPASS: Wiring;
+    const MAGNETOMETER: Wiring;
 }
 
 /// Time that a run has on the bus, its delays included, µs.
@@ -86,7 +86,7 @@ impl<W> Clone for Bus<W> {
     }
 }
 
-impl<W: Wired> Bus<W> {
+impl<W: HasWiring> Bus<W> {
     /// The bus, whose pins are connected, and whose clock is that of APB1.
     pub fn new(apb1_mhz: u32) -> Self {
         let bus = Self { apb1_mhz, wiring: PhantomData };
@@ -97,8 +97,8 @@ impl<W: Wired> Bus<W> {
     /// Frees the data line, resets the peripheral and sets it up: fast mode, low twice as long as high, rise time
     /// 300 ns.
     fn set_up(&self) {
-        W::COMPASS.free_data_line();
-        let regs = W::COMPASS.regs();
+        W::MAGNETOMETER.free_data_line();
+        let regs = W::MAGNETOMETER.regs();
         regs.cr1().write(|w| w.swrst().set_bit());
         regs.cr1().reset();
         // SAFETY: APB1's clock in MHz, within the field's range; the other fields as computed here.
@@ -234,9 +234,9 @@ impl<W> ErrorType for Bus<W> {
     type Error = BusError;
 }
 
-impl<W: Wired> I2c for Bus<W> {
+impl<W: HasWiring> I2c for Bus<W> {
     fn transaction(&mut self, address: u8, operations: &mut [Operation<'_>]) -> Result<(), BusError> {
-        let wiring = W::COMPASS;
+        let wiring = W::MAGNETOMETER;
         let mut result = Ok(());
         let mut ends_itself = false;
         for operation in operations {

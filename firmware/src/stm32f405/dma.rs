@@ -25,14 +25,14 @@ impl Flags {
 
     /// The transfer ended with an error.
     #[inline(always)]
-    #[cfg_attr(feature = "unwired", expect(dead_code, reason = "no sensor is wired there"))]
+    #[cfg_attr(feature = "simulated", expect(dead_code, reason = "no sensor is wired there"))]
     pub fn is_error(self) -> bool {
         self.0 & Self::TRANSFER_ERROR != 0
     }
 
     /// The transfer is complete.
     #[inline(always)]
-    #[cfg_attr(feature = "unwired", expect(dead_code, reason = "no sensor is wired there"))]
+    #[cfg_attr(feature = "simulated", expect(dead_code, reason = "no sensor is wired there"))]
     pub fn is_complete(self) -> bool {
         self.0 & Self::COMPLETE != 0
     }
@@ -74,7 +74,7 @@ impl Stream {
 
     /// Its flags.
     #[inline(always)]
-    #[cfg_attr(feature = "unwired", expect(dead_code, reason = "no sensor is wired there"))]
+    #[cfg_attr(feature = "simulated", expect(dead_code, reason = "no sensor is wired there"))]
     pub fn flags(&self) -> Flags {
         let bits =
             if self.number < 4 { self.dma().lisr().read().bits() } else { self.dma().hisr().read().bits() };

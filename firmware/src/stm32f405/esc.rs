@@ -44,10 +44,10 @@ use flight_core::esc::protocol::{
 use stm32f4xx_hal::pac::tim1;
 
 use super::dma::Stream;
-#[cfg(feature = "wired")]
+#[cfg(feature = "flight-board")]
 use super::pin::Pin;
 
-#[cfg(feature = "wired")]
+#[cfg(feature = "flight-board")]
 mod end;
 
 /// Clock of all timers, counts a microsecond and a second: twice APB1's.
@@ -104,10 +104,10 @@ unsafe impl Sync for Timer {}
 #[derive(Clone, Copy)]
 pub struct Pad {
     /// Its pin.
-    #[cfg(feature = "wired")]
+    #[cfg(feature = "flight-board")]
     pub pin: Pin,
     /// The pin's alternate function, by which it is the timer's.
-    #[cfg(feature = "wired")]
+    #[cfg(feature = "flight-board")]
     pub function: u8,
     /// Its timer's registers, as one of [`Outputs::timers`] has them.
     pub timer: *const tim1::RegisterBlock,
@@ -370,7 +370,7 @@ impl Lines {
     #[cold]
     #[inline(never)]
     fn reset(&self) {
-        // SAFETY: only this module uses the timers, and nothing of it is under way: this is the flight task, or a fault
+        // SAFETY: only this module uses the timers, and nothing of it is under way: this is the control loop, or a fault
         // that does not return to it.
         unsafe {
             (self.outputs.enable)();
@@ -411,7 +411,7 @@ const FIRST_COMPARE: u8 = 0x34 / 4;
 impl Timer {
     #[inline(always)]
     fn registers(&self) -> Registers {
-        // SAFETY: after `init` nobody owns the timer, and only this module writes to it: the flight task, or a fault
+        // SAFETY: after `init` nobody owns the timer, and only this module writes to it: the control loop, or a fault
         // that does not return to it.
         unsafe { &*self.registers }
     }

@@ -10,27 +10,27 @@
 //! | [`dma`] | a stream of DMA by its number | while it stops, a microsecond |
 //! | [`deadline`] | time, and the deadline of a sample, by TIM5 | no |
 //! | [`power`] | what happens when the chip's supply or its crystal fails | at start, until there is supply |
-//! | [`supply`] | the battery by ADC1 | no |
+//! | [`battery_adc`] | the battery by ADC1 | no |
 //! | [`reset`] | why the chip has started, and the watchdog that restarts it | no |
 //!
 //! Which peripheral, pin, timer or stream it is, each is told by the board's wiring. Registers and their fields are those
 //! of ST's RM0090.
 
-#[cfg(feature = "wired")]
+#[cfg(feature = "flight-board")]
+pub mod battery_adc;
+#[cfg(feature = "flight-board")]
 pub mod burst;
-#[cfg(feature = "wired")]
+#[cfg(feature = "flight-board")]
 pub mod bus;
-#[cfg(feature = "wired")]
+#[cfg(feature = "flight-board")]
 pub mod deadline;
 pub mod dma;
 pub mod esc;
-#[cfg(feature = "wired")]
+#[cfg(feature = "flight-board")]
 pub mod pin;
-#[cfg(feature = "wired")]
+#[cfg(feature = "flight-board")]
 pub mod port;
-#[cfg(feature = "wired")]
+#[cfg(feature = "flight-board")]
 pub mod power;
-#[cfg(feature = "wired")]
+#[cfg(feature = "flight-board")]
 pub mod reset;
-#[cfg(feature = "wired")]
-pub mod supply;

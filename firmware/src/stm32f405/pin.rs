@@ -1,6 +1,6 @@
 //! A pin by its port and number, for constants of a board and for faults, which find the pins without anybody's help.
 //!
-//! At start the pins are set up by their types (`board/wired.rs`); what is here is for afterwards.
+//! At start the pins are set up by their types (`board/flight_board.rs`); what is here is for afterwards.
 
 use stm32f4xx_hal::pac::gpioi;
 
@@ -23,7 +23,7 @@ impl Pin {
 
     fn registers(&self) -> &'static gpioi::RegisterBlock {
         // SAFETY: a port's registers, of which this changes one pin's bits. Between two that read them, change theirs and
-        // write them back nobody comes: after `init` that happens in the task `compass` and in a fault, which does not
+        // write them back nobody comes: after `init` that happens in the task `magnetometer` and in a fault, which does not
         // return.
         unsafe { &*self.port }
     }

@@ -27,7 +27,7 @@ pub struct Wiring {
 }
 
 /// A board's wiring as a type: so that all of it is constant where it is used.
-pub trait Wired {
+pub trait HasWiring {
     /// It.
     const RECEIVER: Wiring;
 }
@@ -52,7 +52,7 @@ static TO_QUEUE: ToQueue = ToQueue(UnsafeCell::new(None));
 
 /// Takes the byte that has come: for the port's interrupt.
 #[inline]
-pub fn take_byte<W: Wired>() {
+pub fn take_byte<W: HasWiring>() {
     let at_us = now_us();
     // Reading the status, then the data, clears both.
     let status = W::RECEIVER.regs().sr().read();
@@ -76,7 +76,7 @@ pub struct Port<W> {
     wiring: PhantomData<W>,
 }
 
-impl<W: Wired> Port<W> {
+impl<W: HasWiring> Port<W> {
     /// Listens as `line` says, at a port whose pin is connected, with the clocks of APB1 and APB2.
     pub fn open(bytes: &'static mut Bytes, line: Line, [apb1_hz, apb2_hz]: [u32; 2]) -> Self {
         let (producer, consumer) = bytes.split();

@@ -132,7 +132,7 @@ pub enum Cause {
     /// Flash is not erased any more.
     MaintenanceOver = 21,
     /// The vehicle does not follow the sticks.
-    Upset = 22,
+    TiltLimit = 22,
 }
 
 impl Cause {
@@ -160,7 +160,7 @@ impl Cause {
         Self::BenchExpired,
         Self::Maintenance,
         Self::MaintenanceOver,
-        Self::Upset,
+        Self::TiltLimit,
     ];
 
     /// For people, in a few words.
@@ -188,7 +188,7 @@ impl Cause {
             Self::BenchExpired => "bench time over",
             Self::Maintenance => "maintenance",
             Self::MaintenanceOver => "maintenance over",
-            Self::Upset => "does not follow",
+            Self::TiltLimit => "does not follow",
         }
     }
 }

@@ -48,7 +48,7 @@ bitflags! {
         const TIME_UP = 1 << 17;
         /// In angle mode the vehicle has been tilted by 20° more than the sticks can ask for, for half a second: a
         /// rotor is gone, or it lies on its back.
-        const UPSET = 1 << 18;
+        const TILT_LIMIT = 1 << 18;
     }
 }
 
@@ -62,7 +62,7 @@ impl Conditions {
         .union(Self::BATTERY_CRITICAL)
         .union(Self::BENCH_LOCK)
         .union(Self::TIME_UP)
-        .union(Self::UPSET);
+        .union(Self::TILT_LIMIT);
 
     /// Those that hold.
     #[inline(always)]
@@ -161,7 +161,7 @@ pub const ARMED: [Row; 8] = [
     row(Armed, Conditions::BENCH_LOCK, Terminated, Cause::BenchLock),
     row(Armed, Conditions::IMU_LOST, Terminated, Cause::ImuLost),
     row(Armed, Conditions::IMU_STUCK, Terminated, Cause::ImuStuck),
-    row(Armed, Conditions::UPSET, Terminated, Cause::Upset),
+    row(Armed, Conditions::TILT_LIMIT, Terminated, Cause::TiltLimit),
     row(Armed, Conditions::DISARM, Disarmed, Cause::Pilot).unless(Conditions::RC_LOST),
     // Throttle low: on the ground, or as good as there. Nothing may spin up.
     row(Armed, Conditions::RC_LOST, Terminated, Cause::RcLost).unless(Conditions::THROTTLE_UP),
@@ -174,7 +174,7 @@ pub const DESCENT: [Row; 7] = [
     row(Descent, Conditions::BENCH_LOCK, Terminated, Cause::BenchLock),
     row(Descent, Conditions::IMU_LOST, Terminated, Cause::ImuLost),
     row(Descent, Conditions::IMU_STUCK, Terminated, Cause::ImuStuck),
-    row(Descent, Conditions::UPSET, Terminated, Cause::Upset),
+    row(Descent, Conditions::TILT_LIMIT, Terminated, Cause::TiltLimit),
     row(Descent, Conditions::DISARM, Disarmed, Cause::Pilot).unless(Conditions::RC_LOST),
     // With a pilot on the link, who can land and disarm, there is no limit.
     row(Descent, Conditions::RC_LOST.union(Conditions::TIME_UP), Terminated, Cause::DescentOver),

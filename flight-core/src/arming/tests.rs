@@ -32,7 +32,7 @@ fn promised(state: ArmState, now: C) -> Option<(ArmState, Cause)> {
             (C::BENCH_LOCK, Cause::BenchLock),
             (C::IMU_LOST, Cause::ImuLost),
             (C::IMU_STUCK, Cause::ImuStuck),
-            (C::UPSET, Cause::Upset),
+            (C::TILT_LIMIT, Cause::TiltLimit),
         ];
         faults.into_iter().find(|(condition, _)| is(*condition)).map(|(_, cause)| (Terminated, cause))
     };
@@ -187,7 +187,7 @@ fn what_must_never_happen_does_not() {
             if to.flies() {
                 assert!(!now.intersects(C::BENCH_LOCK | C::IMU_LOST | C::IMU_STUCK), "{state:?} {now:?}");
                 // Who does not fly yet cannot have failed to follow.
-                assert!(!(state.flies() && now.contains(C::UPSET)), "{state:?} {now:?}");
+                assert!(!(state.flies() && now.contains(C::TILT_LIMIT)), "{state:?} {now:?}");
             }
             if to == Maintenance {
                 assert!(!turning(state) && state != Arming);
@@ -379,11 +379,11 @@ fn states_and_causes_can_be_told_apart() {
 fn conditions_are_those_that_hold_named_once_or_twice() {
     for bits in 0..16_u32 {
         let [a, b, c, d] = [0, 1, 2, 3].map(|n| bits >> n & 1 == 1);
-        let held = C::of([(C::ARM, a), (C::UPSET, b), (C::RC_LOST, c), (C::ARM, d)]);
+        let held = C::of([(C::ARM, a), (C::TILT_LIMIT, b), (C::RC_LOST, c), (C::ARM, d)]);
         assert_eq!(
-            (held.contains(C::ARM), held.contains(C::UPSET), held.contains(C::RC_LOST)),
+            (held.contains(C::ARM), held.contains(C::TILT_LIMIT), held.contains(C::RC_LOST)),
             (a || d, b, c)
         );
-        assert!((C::ARM | C::UPSET | C::RC_LOST).contains(held));
+        assert!((C::ARM | C::TILT_LIMIT | C::RC_LOST).contains(held));
     }
 }

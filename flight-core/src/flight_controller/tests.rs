@@ -370,7 +370,7 @@ fn who_is_on_its_back_is_stopped_in_angle_mode_only() {
         world.sample.gyro = [0; 3];
         let (output, told) = world.run(700);
         assert_eq!(output.state == ArmState::Terminated, stopped, "{told:?}");
-        assert_eq!(told.is_some_and(|event| event.cause == Cause::Upset), stopped);
+        assert_eq!(told.is_some_and(|event| event.cause == Cause::TiltLimit), stopped);
     }
 }
 

@@ -44,7 +44,7 @@ const RUN: [&str; 13] = [
 ];
 
 /// More steps than the longest flight has, 10⁶ s; a sum of them over all runs that a machine holds is still a number.
-const MOST_STEPS: u64 = 1_000_000_000;
+const MAX_STEPS: u64 = 1_000_000_000;
 
 /// Before the name of a column that was drawn.
 const DRAWN: &str = "drawn.";
@@ -290,8 +290,8 @@ impl<'a, R: Read> Rows<'a, R> {
 
     fn control_steps(&self) -> Result<u64, InputError> {
         match self.whole("control_steps")? {
-            steps @ 0..=MOST_STEPS => Ok(steps),
-            _ => Err(self.wrong("control_steps", &format!("must be from 0 to {MOST_STEPS}"))),
+            steps @ 0..=MAX_STEPS => Ok(steps),
+            _ => Err(self.wrong("control_steps", &format!("must be from 0 to {MAX_STEPS}"))),
         }
     }
 

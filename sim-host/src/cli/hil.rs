@@ -154,7 +154,7 @@ fn answer(scene: &Scene, firmware: &Path, flown: &Flown, wall_s: f64, account: O
     .expect(TAKES_ALL);
     if let Some(unmodelled) = unmodelled {
         write!(text, "\n  unmodelled accesses      {}", unmodelled.len()).expect(TAKES_ALL);
-        for line in unmodelled.iter().take(MOST_LINES) {
+        for line in unmodelled.iter().take(MAX_LINES) {
             write!(text, "\n    {line}").expect(TAKES_ALL);
         }
     }
@@ -191,7 +191,7 @@ fn answer(scene: &Scene, firmware: &Path, flown: &Flown, wall_s: f64, account: O
 /// A `String` never refuses to be written to.
 const TAKES_ALL: &str = "a String takes everything";
 /// More lines of unmodelled accesses are only counted.
-const MOST_LINES: usize = 10;
+const MAX_LINES: usize = 10;
 
 fn in_words(received: Received) -> String {
     let Received { corrupt, lost, repeated } = received;

@@ -70,7 +70,7 @@ pub trait Recipe {
 
 /// The truth at the time of a sample.
 #[derive(Clone, Copy, Debug)]
-pub struct Moment<'a> {
+pub struct Snapshot<'a> {
     /// Time, s.
     pub time_s: f64,
     /// Position, velocity, attitude, rates.
@@ -87,10 +87,10 @@ pub struct Moment<'a> {
 /// and makes of it what the sensor does.
 pub trait SensorEffect: Send {
     /// Applies the error to one sample. In place: the chain of effects copies no reading.
-    fn apply_to(&mut self, reading: &mut Vec3<f64>, at: &Moment);
+    fn apply_to(&mut self, reading: &mut Vec3<f64>, at: &Snapshot);
 
     /// The same by value.
-    fn apply(&mut self, mut reading: Vec3<f64>, at: &Moment) -> Vec3<f64> {
+    fn apply(&mut self, mut reading: Vec3<f64>, at: &Snapshot) -> Vec3<f64> {
         self.apply_to(&mut reading, at);
         reading
     }

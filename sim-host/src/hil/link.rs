@@ -11,7 +11,7 @@
 //! | nothing, on a wire that loses none; the end of the wire; another version | ends the flight |
 //!
 //! Nothing is sent again: a sample that is lost is lost, as on a bus. Everything is counted, and bounded: by the
-//! wire's [`Patience`], by the number of resets, and by the number of bytes that bring no answer.
+//! wire's [`OnTimeout`], by the number of resets, and by the number of bytes that bring no answer.
 
 use std::fmt;
 use std::io::{self, Read, Write};
@@ -28,9 +28,9 @@ use hil_link::{Decoder, Done, FrameError, MAX_FRAME, Order, Received, Step, ToBo
 use crate::flight::{Answer, Autopilot};
 
 /// More resets than this end a flight.
-const MOST_RESETS: usize = 10;
+const MAX_RESETS: usize = 10;
 /// More bytes than this without an answer end it too.
-const MOST_NOISE: usize = 100 * MAX_FRAME;
+const MAX_NOISE_BYTES: usize = 100 * MAX_FRAME;
 /// The configuration is sent again after so many reads in vain: a port that has just been opened may take its time.
 const READS_PER_START: u32 = 10;
 
@@ -39,18 +39,18 @@ const READS_PER_START: u32 = 10;
 /// end of the wire.
 pub trait Wire: Read + Write {
     /// A read has been in vain: what now?
-    fn patience(&mut self) -> Patience;
+    fn on_timeout(&mut self) -> OnTimeout;
 }
 
 impl<W: Wire> Wire for &mut W {
-    fn patience(&mut self) -> Patience {
-        (**self).patience()
+    fn on_timeout(&mut self) -> OnTimeout {
+        (**self).on_timeout()
     }
 }
 
 /// How much longer to wait for an answer.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Patience {
+pub enum OnTimeout {
     /// Read again.
     Wait,
     /// The frame is lost: on to the next.
@@ -94,7 +94,9 @@ impl fmt::Display for LinkError {
         match self {
             Self::Closed => write!(f, "the far end of the link is gone"),
             Self::Silent(why) => write!(f, "the firmware is silent: {why}"),
-            Self::Noise => write!(f, "{MOST_NOISE} bytes have come without an answer: is it this firmware?"),
+            Self::Noise => {
+                write!(f, "{MAX_NOISE_BYTES} bytes have come without an answer: is it this firmware?")
+            }
             Self::Version(version) => {
                 write!(
                     f,
@@ -115,7 +117,7 @@ impl fmt::Display for LinkError {
             Self::WrongTime { asked_us, answered_us } => {
                 write!(f, "the firmware answers the step of {asked_us} µs with {answered_us} µs")
             }
-            Self::Resets => write!(f, "the firmware has been reset more than {MOST_RESETS} times"),
+            Self::Resets => write!(f, "the firmware has been reset more than {MAX_RESETS} times"),
             Self::Interrupted => write!(f, "interrupted"),
             Self::Io(error) => write!(f, "the link fails: {error}"),
         }
@@ -217,7 +219,7 @@ pub struct Link<W> {
 }
 
 /// What came.
-enum Heard {
+enum Incoming {
     Message(u32, ToHost),
     Damaged,
     /// The wire has given the frame up.
@@ -284,23 +286,23 @@ impl<W: Wire> Link<W> {
     }
 
     /// The next thing that comes.
-    fn hear(&mut self) -> Result<Heard, LinkError> {
+    fn receive(&mut self) -> Result<Incoming, LinkError> {
         loop {
             for at in self.unread.by_ref() {
                 match self.decoder.push(self.bytes[at]) {
                     None => {}
                     Some(Ok(packet)) => {
                         let message = packet.message().ok_or(LinkError::Unknown)?;
-                        return Ok(Heard::Message(packet.sequence, message));
+                        return Ok(Incoming::Message(packet.sequence, message));
                     }
                     Some(Err(FrameError::Version(version))) => return Err(LinkError::Version(version)),
-                    Some(Err(_)) => return Ok(Heard::Damaged),
+                    Some(Err(_)) => return Ok(Incoming::Damaged),
                 }
             }
             if self.stop.load(Ordering::Relaxed) {
                 return Err(LinkError::Interrupted);
             }
-            if self.noise > MOST_NOISE {
+            if self.noise > MAX_NOISE_BYTES {
                 return Err(LinkError::Noise);
             }
             match self.wire.read(&mut self.bytes) {
@@ -310,10 +312,10 @@ impl<W: Wire> Link<W> {
                     self.noise += length;
                 }
                 Err(error) => match error.kind() {
-                    io::ErrorKind::WouldBlock | io::ErrorKind::TimedOut => match self.wire.patience() {
-                        Patience::Wait => {}
-                        Patience::NextFrame => return Ok(Heard::Nothing),
-                        Patience::Silent(why) => return Err(LinkError::Silent(why)),
+                    io::ErrorKind::WouldBlock | io::ErrorKind::TimedOut => match self.wire.on_timeout() {
+                        OnTimeout::Wait => {}
+                        OnTimeout::NextFrame => return Ok(Incoming::Nothing),
+                        OnTimeout::Silent(why) => return Err(LinkError::Silent(why)),
                     },
                     io::ErrorKind::Interrupted => {}
                     _ => return Err(LinkError::Io(error)),
@@ -325,7 +327,7 @@ impl<W: Wire> Link<W> {
     /// Waits for the firmware, and tells it what to be.
     fn start(&mut self) -> Result<(), LinkError> {
         // A board that has been waiting for long has said so when nobody listened.
-        while !matches!(self.hear()?, Heard::Message(_, ToHost::Ready(_)) | Heard::Nothing) {}
+        while !matches!(self.receive()?, Incoming::Message(_, ToHost::Ready(_)) | Incoming::Nothing) {}
         self.configure()
     }
 
@@ -335,25 +337,25 @@ impl<W: Wire> Link<W> {
         self.send(0, &start, |_| ())?;
         let (mut resets, mut vain) = (0, 0);
         loop {
-            match self.hear()? {
-                Heard::Message(_, ToHost::Started) => break,
-                Heard::Message(_, ToHost::Refused) => return Err(LinkError::Refused),
+            match self.receive()? {
+                Incoming::Message(_, ToHost::Started) => break,
+                Incoming::Message(_, ToHost::Refused) => return Err(LinkError::Refused),
                 // It was reset again before it came to reading that.
-                Heard::Message(_, ToHost::Ready(_)) if resets == MOST_RESETS => {
+                Incoming::Message(_, ToHost::Ready(_)) if resets == MAX_RESETS => {
                     return Err(LinkError::Resets);
                 }
-                Heard::Message(_, ToHost::Ready(_)) => {
+                Incoming::Message(_, ToHost::Ready(_)) => {
                     resets += 1;
                     self.send(0, &start, |_| ())?;
                 }
-                Heard::Nothing => {
+                Incoming::Nothing => {
                     vain += 1;
                     if vain % READS_PER_START == 0 {
                         self.send(0, &start, |_| ())?;
                     }
                 }
                 // What is left of an earlier flight.
-                Heard::Message(_, ToHost::Done(_) | ToHost::Bad(_)) | Heard::Damaged => {}
+                Incoming::Message(_, ToHost::Done(_) | ToHost::Bad(_)) | Incoming::Damaged => {}
             }
         }
         self.noise = 0;
@@ -364,7 +366,7 @@ impl<W: Wire> Link<W> {
     /// The firmware has been reset: its outputs are dead until it has started.
     fn restart(&mut self, time_us: u64, by_watchdog: bool) -> Result<Answer, LinkError> {
         self.report.resets.push(Reset { time_us, by_watchdog });
-        if self.report.resets.len() > MOST_RESETS {
+        if self.report.resets.len() > MAX_RESETS {
             return Err(LinkError::Resets);
         }
         self.to_board_before = sum(self.to_board_before, std::mem::take(&mut self.to_board));
@@ -424,8 +426,8 @@ impl<W: Wire> Autopilot for Link<W> {
         let step = Step { time_us, imu, mag, rc, battery };
         self.send(number, &ToBoard::Step(step), |frame| faults.flip(n, frame))?;
         loop {
-            match self.hear()? {
-                Heard::Message(of, ToHost::Done(done)) => match Order::of(of, self.answered) {
+            match self.receive()? {
+                Incoming::Message(of, ToHost::Done(done)) => match Order::of(of, self.answered) {
                     Order::Lost(answers) if of == number => {
                         self.report.to_host.lost += answers;
                         return self.accept(number, time_us, &done);
@@ -433,7 +435,7 @@ impl<W: Wire> Autopilot for Link<W> {
                     Order::Next if of == number => return self.accept(number, time_us, &done),
                     _ => self.report.to_host.repeated += 1,
                 },
-                Heard::Message(_, ToHost::Bad(received)) => {
+                Incoming::Message(_, ToHost::Bad(received)) => {
                     let of_this = received.corrupt != self.to_board.corrupt;
                     self.to_board = received;
                     if of_this {
@@ -442,14 +444,14 @@ impl<W: Wire> Autopilot for Link<W> {
                         return Ok(self.unanswered());
                     }
                 }
-                Heard::Message(_, ToHost::Ready(how)) => return self.restart(time_us, how.watchdog_reset),
-                Heard::Message(_, ToHost::Started | ToHost::Refused) => self.report.to_host.repeated += 1,
-                Heard::Damaged => {
+                Incoming::Message(_, ToHost::Ready(how)) => return self.restart(time_us, how.watchdog_reset),
+                Incoming::Message(_, ToHost::Started | ToHost::Refused) => self.report.to_host.repeated += 1,
+                Incoming::Damaged => {
                     self.report.to_host.corrupt += 1;
                     self.answered = Some(number);
                     return Ok(self.unanswered());
                 }
-                Heard::Nothing => return Ok(self.unanswered()),
+                Incoming::Nothing => return Ok(self.unanswered()),
             }
         }
     }

@@ -22,7 +22,7 @@ use firmware_log::{Decoder, Line, Memory, RttError, drain, rtt_control_block};
 use serde_json::{Value, json};
 
 use super::Account;
-use super::link::{Patience, Wire};
+use super::link::{OnTimeout, Wire};
 use super::qemu::Qemu;
 use input::InputError;
 
@@ -115,8 +115,8 @@ impl<P: FnMut(&Line)> Write for WithLog<P> {
 }
 
 impl<P: FnMut(&Line)> Wire for WithLog<P> {
-    fn patience(&mut self) -> Patience {
-        self.qemu.patience()
+    fn on_timeout(&mut self) -> OnTimeout {
+        self.qemu.on_timeout()
     }
 }
 

@@ -27,7 +27,7 @@ use crate::scene::Scene;
 
 pub use hil_link::Received;
 pub use image::{PIPES, USART, build, check};
-pub use link::{Faults, Link, LinkError, Patience, Report, Reset, Wire};
+pub use link::{Faults, Link, LinkError, OnTimeout, Report, Reset, Wire};
 #[cfg(all(target_os = "linux", feature = "firmware-log"))]
 pub use log::WithLog;
 #[cfg(unix)]

@@ -25,7 +25,7 @@ use nix::unistd::mkfifo;
 use tempfile::TempDir;
 
 use super::Account;
-use super::link::{Patience, Wire};
+use super::link::{OnTimeout, Wire};
 use input::InputError;
 
 /// The emulator.
@@ -203,7 +203,7 @@ impl Write for Qemu {
 }
 
 impl Wire for Qemu {
-    fn patience(&mut self) -> Patience {
+    fn on_timeout(&mut self) -> OnTimeout {
         self.looks += 1;
         let process = format!("/proc/{}", self.emulator.id());
         let passed = u64::from(self.looks) * u64::from(LOOK_MS) * TICKS_PER_S / 1_000;
@@ -213,11 +213,11 @@ impl Wire for Qemu {
         self.computed = computed;
         let since = *self.silent_since.get_or_insert(computed);
         if computed - since >= SILENT_CPU_S * TICKS_PER_S {
-            Patience::Silent(format!("no answer in {SILENT_CPU_S} s of the emulator's processor time"))
+            OnTimeout::Silent(format!("no answer in {SILENT_CPU_S} s of the emulator's processor time"))
         } else if self.asleep >= SILENT_LOOKS {
-            Patience::Silent("the emulator sleeps, and waits for what nobody will send".into())
+            OnTimeout::Silent("the emulator sleeps, and waits for what nobody will send".into())
         } else {
-            Patience::Wait
+            OnTimeout::Wait
         }
     }
 }

@@ -2,7 +2,7 @@
 //!
 //! Nobody knows how far a board at the end of a cable has come, so a frame is given a time, and a board a number of
 //! frames: after [`FRAME_WAIT`] without an answer the frame counts as lost and the next is sent, and after
-//! [`MOST_UNANSWERED`] of them in a row the board counts as silent.
+//! [`MAX_UNANSWERED`] of them in a row the board counts as silent.
 
 use std::io::{self, Read, Write};
 use std::path::Path;
@@ -10,7 +10,7 @@ use std::time::Duration;
 
 use serial2::SerialPort;
 
-use super::link::{Patience, Wire};
+use super::link::{OnTimeout, Wire};
 use input::InputError;
 
 /// Bits per second, 8 data bits, no parity, one stop bit. A step and its answer are at most 120 bytes: 1.3 ms.
@@ -19,7 +19,7 @@ pub const BAUD: u32 = 921_600;
 /// machine takes what it gets.
 const FRAME_WAIT: Duration = Duration::from_secs(2);
 /// So many frames without an answer, in a row, end the flight.
-const MOST_UNANSWERED: u32 = 10;
+const MAX_UNANSWERED: u32 = 10;
 
 /// A serial port.
 pub struct Serial {
@@ -36,7 +36,7 @@ impl Serial {
         let open = || {
             let mut port = SerialPort::open(name, BAUD)?;
             port.set_read_timeout(FRAME_WAIT)?;
-            port.set_write_timeout(FRAME_WAIT * MOST_UNANSWERED)?;
+            port.set_write_timeout(FRAME_WAIT * MAX_UNANSWERED)?;
             io::Result::Ok(Self { port, unanswered: 0 })
         };
         open().map_err(|error| {
@@ -64,12 +64,12 @@ impl Write for Serial {
 }
 
 impl Wire for Serial {
-    fn patience(&mut self) -> Patience {
+    fn on_timeout(&mut self) -> OnTimeout {
         self.unanswered += 1;
-        if self.unanswered < MOST_UNANSWERED {
-            Patience::NextFrame
+        if self.unanswered < MAX_UNANSWERED {
+            OnTimeout::NextFrame
         } else {
-            Patience::Silent(format!("no answer to {MOST_UNANSWERED} frames in a row"))
+            OnTimeout::Silent(format!("no answer to {MAX_UNANSWERED} frames in a row"))
         }
     }
 }

@@ -64,7 +64,7 @@ impl Channel {
 }
 
 /// More events than this are only counted.
-const MOST_EVENTS: usize = 24;
+const MAX_EVENTS: usize = 24;
 
 /// An observer that records a flight for its report, in less than 5 MB however long the flight is.
 #[derive(Clone, Debug, Default)]
@@ -107,7 +107,7 @@ impl Observer for Recorder {
         let truth = view.truth;
         let home = *self.home.get_or_insert(truth.position);
         if let Some(event) = view.output.event {
-            if self.events.len() < MOST_EVENTS {
+            if self.events.len() < MAX_EVENTS {
                 self.events.push((time_s, event));
             } else {
                 self.further_events += 1;

@@ -3,7 +3,7 @@
 /// Steps that go into a bucket at first: 100 buckets a second at 1 kHz.
 const FIRST_STEPS: u32 = 10;
 /// When there are this many buckets, each two become one.
-pub(super) const MOST_BUCKETS: usize = 4096;
+pub(super) const MAX_BUCKETS: usize = 4096;
 
 /// What a number did during a bucket.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -22,7 +22,7 @@ impl Extremes {
 }
 
 /// `N` numbers over time. Of every bucket of steps the lowest and the highest value of each number are kept,
-/// with their times; buckets grow so that there are never more than [`MOST_BUCKETS`].
+/// with their times; buckets grow so that there are never more than [`MAX_BUCKETS`].
 #[derive(Clone, Debug)]
 pub(super) struct Trace<const N: usize> {
     /// `None` where no value was finite.
@@ -44,7 +44,7 @@ impl<const N: usize> Trace<N> {
             value.is_finite().then_some(Extremes { low: (time_s, value), high: (time_s, value) })
         });
         if self.steps_in_last == self.steps_per_bucket {
-            if self.buckets.len() == MOST_BUCKETS {
+            if self.buckets.len() == MAX_BUCKETS {
                 self.halve();
             }
             self.buckets.push(now);
@@ -108,10 +108,10 @@ mod tests {
         let mut trace = Trace::default();
         for (t, value) in long() {
             trace.push(t, [value, 1.0]);
-            assert!(trace.buckets.len() <= MOST_BUCKETS);
+            assert!(trace.buckets.len() <= MAX_BUCKETS);
         }
         let points = trace.points(0);
-        assert!(points.len() <= 2 * MOST_BUCKETS && points.len() > MOST_BUCKETS / 2);
+        assert!(points.len() <= 2 * MAX_BUCKETS && points.len() > MAX_BUCKETS / 2);
         assert!(points.contains(&(123.456, 1e6)) && points.contains(&(654.321, -1e6)));
         assert!(points.is_sorted_by(|a, b| a.0 < b.0));
         assert_eq!(trace.points(1).len(), trace.buckets.len());

@@ -112,9 +112,9 @@ impl Fault {
 
     /// Checks that the keys are in range and fit the kind.
     pub fn validate(&self) -> Result<(), InputError> {
-        check::within("fault.at_s", self.at_s, 0.0, 1e6, "s")?;
+        check::in_range("fault.at_s", self.at_s, 0.0, 1e6, "s")?;
         if let Some(for_s) = self.for_s {
-            check::within("fault.for_s", for_s, 1e-3, 1e6, "s")?;
+            check::in_range("fault.for_s", for_s, 1e-3, 1e6, "s")?;
         }
         let of_one_axis = matches!(self.kind, Kind::StuckAxis | Kind::Spike);
         let said = |field: &str, message: &str| Err(InputError::new(message).field(field));

@@ -9,7 +9,7 @@ use super::tolerances::Tolerances;
 use crate::earth_field::Place;
 use crate::pilot::{Base, Move, PilotScript, Plan};
 use input::InputError;
-use input::check::within;
+use input::check::in_range;
 
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -192,11 +192,11 @@ enum Mode {
 
 impl Pilot {
     pub fn build(&self, ball_joint: bool) -> Result<PilotScript, InputError> {
-        within("pilot.arm_at_s", self.arm_at_s, 0.0, 1e6, "s")?;
+        in_range("pilot.arm_at_s", self.arm_at_s, 0.0, 1e6, "s")?;
         // The gesture is held for 1.2 s; 1.5 s after its start the motors turn.
-        within("pilot.take_off_at_s", self.take_off_at_s, self.arm_at_s + 1.6, 1e6, "s")?;
+        in_range("pilot.take_off_at_s", self.take_off_at_s, self.arm_at_s + 1.6, 1e6, "s")?;
         if let Some(before_end_s) = self.land_before_end_s {
-            within("pilot.land_before_end_s", before_end_s, 0.0, 1e6, "s")?;
+            in_range("pilot.land_before_end_s", before_end_s, 0.0, 1e6, "s")?;
         }
         if self.kind == PilotKind::Hold && !self.moves.is_empty() {
             return Err(InputError::new("a pilot of kind \"hold\" has none; use kind = \"script\"")
@@ -207,7 +207,7 @@ impl Pilot {
             (PilotKind::Script, Some(BaseName::Centred)) => {
                 let throttle =
                     self.throttle.ok_or_else(|| missing("pilot.throttle", "base = \"centred\""))?;
-                within("pilot.throttle", throttle, 0.0, 1.0, "of full throttle")?;
+                in_range("pilot.throttle", throttle, 0.0, 1.0, "of full throttle")?;
                 Base::Centred { throttle }
             }
             (PilotKind::Hold, Some(_)) => {
@@ -225,11 +225,11 @@ impl Pilot {
             (Base::Hold, None) => return Err(missing("pilot.height_m", "a holding pilot")),
             (_, height_m) => height_m.unwrap_or(0.0),
         };
-        within("pilot.height_m", height_m, 0.0, 1000.0, "m")?;
+        in_range("pilot.height_m", height_m, 0.0, 1000.0, "m")?;
         let mut script = Vec::new();
         for m in &self.moves {
-            within("pilot.move.at_s", m.at_s, self.take_off_at_s, 1e6, "s")?;
-            within("pilot.move.for_s", m.for_s, 0.02, 1e6, "s")?;
+            in_range("pilot.move.at_s", m.at_s, self.take_off_at_s, 1e6, "s")?;
+            in_range("pilot.move.for_s", m.for_s, 0.02, 1e6, "s")?;
             for (field, stick, low) in [
                 ("pilot.move.throttle", m.throttle, 0.0),
                 ("pilot.move.roll", m.roll, -1.0),
@@ -237,7 +237,7 @@ impl Pilot {
                 ("pilot.move.yaw", m.yaw, -1.0),
             ] {
                 if let Some(stick) = stick {
-                    within(field, stick, low, 1.0, "of full stick")?;
+                    in_range(field, stick, low, 1.0, "of full stick")?;
                 }
             }
             let MoveTable { at_s, for_s, throttle, roll, pitch, yaw, mode } = *m;

@@ -79,7 +79,7 @@ impl ImuPreset {
             ("accel.lsb_per_g", preset.accel.lsb_per_g),
             ("mag.lsb_per_gauss", preset.mag.lsb_per_gauss),
         ] {
-            check::within(field, value, 0.1, 1e6, "counts").map_err(|error| error.file(name))?;
+            check::in_range(field, value, 0.1, 1e6, "counts").map_err(|error| error.file(name))?;
         }
         preset.effects.validate().map_err(|error| error.file(name))?;
         let effects = match table.get("effects").map(|effects| effects.get_ref()) {

@@ -62,7 +62,7 @@ struct Included {
 }
 
 /// Scenes that include each other in a row; more of them are a circle that goes by ever other names.
-const MOST_INCLUDED: usize = 16;
+const MAX_INCLUDED: usize = 16;
 
 impl Included {
     fn of(name: &str, text: &str, read: ReadText) -> Result<Vec<Self>, InputError> {
@@ -85,7 +85,7 @@ impl Included {
                 })?;
                 Self { name: path.display().to_string(), text }
             };
-            if list.len() == MOST_INCLUDED || list.iter().any(|included| included.name == found.name) {
+            if list.len() == MAX_INCLUDED || list.iter().any(|included| included.name == found.name) {
                 return Err(InputError::new("a scene includes itself")
                     .file(&name)
                     .field("include")
@@ -333,7 +333,7 @@ impl Scene {
     /// # Errors
     /// A length outside 0.01 s to 10⁶ s, or one that would land before it takes off.
     pub fn set_duration(&mut self, duration_s: f64) -> Result<(), InputError> {
-        check::within("scene.duration_s", duration_s, 0.01, 1.0e6, "s")?;
+        check::in_range("scene.duration_s", duration_s, 0.01, 1.0e6, "s")?;
         if let Some(plan) = self.pilot.as_mut().map(|p| &mut p.plan)
             && let Some(before_end_s) = plan.land_before_end_s
         {
@@ -540,12 +540,18 @@ impl file::Flight {
         };
         if let Some(cutoff_hz) = prefilter_hz {
             let (least_hz, most_hz) = vehicle::prefilter_range_hz();
-            check::between("flight.prefilter_hz", cutoff_hz, least_hz, most_hz, vehicle::PREFILTER_ALLOWED)?;
+            check::in_open_range(
+                "flight.prefilter_hz",
+                cutoff_hz,
+                least_hz,
+                most_hz,
+                vehicle::PREFILTER_ALLOWED,
+            )?;
         }
         let declination_rad = match self.declination_deg {
             file::Declination::Model => declination_rad(field_ut),
             file::Declination::Given(degrees) => {
-                check::within("flight.declination_deg", degrees, -180.0, 180.0, "deg")?;
+                check::in_range("flight.declination_deg", degrees, -180.0, 180.0, "deg")?;
                 degrees.to_radians()
             }
         };

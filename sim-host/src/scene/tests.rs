@@ -1,6 +1,6 @@
 use super::*;
 use crate::dynamics::GRAVITY;
-use crate::effects::Moment;
+use crate::effects::Snapshot;
 use crate::effects::sensor::testing::{STATE, at_rest, moment};
 use crate::effects::vehicle::VehicleEffect;
 
@@ -161,7 +161,8 @@ type Contribution = (&'static str, Vec<[u64; 3]>);
 /// What each effect of a scene makes of the same readings while the vehicle flies: its contribution alone.
 fn contributions(scene: &Scene) -> Vec<Contribution> {
     let state = crate::dynamics::State { rates: vec3(0.1, -0.2, 0.3), ..STATE };
-    let at = |k: u32| Moment { rotors: [200.0, 210.0, 220.0, 230.0], ..moment(&state, f64::from(k) * 1e-3) };
+    let at =
+        |k: u32| Snapshot { rotors: [200.0, 210.0, 220.0, 230.0], ..moment(&state, f64::from(k) * 1e-3) };
     let bits = |v: Vec3<f64>| <[f64; 3]>::from(v).map(f64::to_bits);
     let mut list = Vec::new();
     for (name, effect) in scene.vehicle_effects(7, 1e3) {

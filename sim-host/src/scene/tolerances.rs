@@ -35,7 +35,7 @@ struct Tolerance {
 const SIGMAS: f64 = 3.0;
 
 /// Largest share of the scene's figure, %.
-const MOST_PERCENT: f64 = 50.0;
+const MAX_PERCENT: f64 = 50.0;
 
 impl Tolerance {
     const KEYS: [&str; 4] = ["uniform", "normal", "uniform_percent", "normal_percent"];
@@ -238,11 +238,11 @@ impl Tolerances {
                     .field(field)
                     .value(value));
                 }
-                (true, None) => check::within(&field, value, 0.0, MOST_PERCENT, "%")?,
-                (false, Some(largest)) => check::within(&field, value, 0.0, largest, unit)?,
+                (true, None) => check::in_range(&field, value, 0.0, MAX_PERCENT, "%")?,
+                (false, Some(largest)) => check::in_range(&field, value, 0.0, largest, unit)?,
                 (false, None) => {
                     let smallest = figures.iter().copied().fold(f64::INFINITY, f64::min);
-                    check::within(&field, value, 0.0, 0.01 * MOST_PERCENT * smallest, unit)?;
+                    check::in_range(&field, value, 0.0, 0.01 * MAX_PERCENT * smallest, unit)?;
                 }
             }
         }

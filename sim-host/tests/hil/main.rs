@@ -13,7 +13,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use flight_core::ArmState;
 use sim_host::flight::{Flight, Observer, Outcome, StepView};
-use sim_host::hil::{self, Faults, Flown, LinkError, Patience, Received, Reset, Wire};
+use sim_host::hil::{self, Faults, Flown, LinkError, OnTimeout, Received, Reset, Wire};
 use sim_host::scene::Scene;
 use xxhash_rust::xxh3::Xxh3;
 
@@ -57,9 +57,9 @@ impl Write for InProcess {
 }
 
 impl Wire for InProcess {
-    fn patience(&mut self) -> Patience {
+    fn on_timeout(&mut self) -> OnTimeout {
         self.vain += 1;
-        if self.lossy && self.vain < 100 { Patience::NextFrame } else { Patience::Silent("nothing".into()) }
+        if self.lossy && self.vain < 100 { OnTimeout::NextFrame } else { OnTimeout::Silent("nothing".into()) }
     }
 }
 

@@ -107,12 +107,12 @@ impl Board {
             let Some(found) = self.decoder.push(*byte) else { continue };
             let found = found.ok().and_then(|packet| Some((packet.sequence, packet.message::<ToBoard>()?)));
             if !self.dead {
-                self.hear(found);
+                self.receive(found);
             }
         }
     }
 
-    fn hear(&mut self, found: Option<(u32, ToBoard)>) {
+    fn receive(&mut self, found: Option<(u32, ToBoard)>) {
         let Some((sequence, message)) = found else {
             self.received.corrupt += 1;
             return self.answer(&ToHost::Bad(self.received));

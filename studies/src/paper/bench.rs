@@ -5,7 +5,7 @@ use flight_core::geometry::Vec3;
 use allan::{Fit, Phase, Point, Statistic, Taus};
 use input::InputError;
 use sim_host::dynamics::{GRAVITY, Vehicle};
-use sim_host::effects::Moment;
+use sim_host::effects::Snapshot;
 use sim_host::scene::Scene;
 use sim_host::sensors::Sensor;
 
@@ -30,7 +30,7 @@ pub fn readings(
     let rest = Vehicle::at_rest(scene.vehicle, scene.mount(), vec![], 1e-3);
     let mut axes = [Vec::new(), Vec::new(), Vec::new()];
     for k in 0..libm::round(scene.duration_s * rate_hz) as u32 {
-        let at = Moment { time_s: f64::from(k) / rate_hz, ..rest.moment() };
+        let at = Snapshot { time_s: f64::from(k) / rate_hz, ..rest.moment() };
         let reading = if through_converter {
             let counts = sensor.sample(truth, &at);
             sensor.nominal(counts)

@@ -11,7 +11,7 @@ use input::InputError;
 use maud::{Markup, Render};
 use sim_host::chart::{Band, Chart, Label, Line, Panel, Stroke, colour};
 use sim_host::dynamics::{GRAVITY, Vehicle};
-use sim_host::effects::Moment;
+use sim_host::effects::Snapshot;
 use sim_host::identify::plot;
 use sim_host::scene::Scene;
 
@@ -59,7 +59,7 @@ fn bias() -> Result<Exhibit, InputError> {
         let rate_hz = f64::from(RATE_HZ);
         let (mut gyro, mut accel) = (scene.gyro(1, rate_hz), scene.accel(1, rate_hz));
         let vehicle = at_rest(&scene);
-        let at = |time_s: f64| Moment { time_s, ..vehicle.moment() };
+        let at = |time_s: f64| Snapshot { time_s, ..vehicle.moment() };
         let h = 1.0 / rate_hz;
         // In the vertical plane that looks north; trapezoidal in each step.
         let north = |tilt: f64, f: Vec3<f64>| libm::cos(tilt) * f.x + libm::sin(tilt) * f.z;

@@ -10,7 +10,7 @@ use flight_core::rc::{ArmBy, CENTRE_TICKS, HIGH_TICKS, LOW_TICKS};
 use flight_core::sample::{Battery, BenchCommand, Health, ImuSample, Input, LinkStatus, MagSample, RcFrame};
 use flight_core::{Config, Params, STANDARD_GRAVITY};
 
-use crate::promise::Watched;
+use crate::invariants::CheckedController;
 
 /// What a number may be by mistake.
 pub const SPECIAL: [f32; 14] = [
@@ -348,7 +348,7 @@ impl Script {
         Self { config, ..self }
     }
 
-    pub fn fly(&self, watched: &mut Watched) {
+    pub fn fly(&self, watched: &mut CheckedController) {
         let Params { accel, mag, .. } = &self.config.params;
         // As far as the converters reach.
         let level = [0, 0, (-STANDARD_GRAVITY / accel.per_count) as i16];

@@ -6,13 +6,13 @@ use std::sync::Mutex;
 use flight_core::{ArmState, Config, FlightController, Params};
 use proptest::prelude::*;
 use proptest::test_runner::TestRunner;
-use test_support::promise::Watched;
+use test_support::invariants::CheckedController;
 use test_support::script::{self, Bytes, Script};
 
 /// The states that a script went through; `None` for a configuration that was refused.
 fn fly(bytes: &[u8]) -> Option<BTreeSet<&'static str>> {
     let script = Script::read(&mut Bytes::new(bytes));
-    let mut watched = Watched::new(&script.config)?;
+    let mut watched = CheckedController::new(&script.config)?;
     script.fly(&mut watched);
     Some(watched.states)
 }
@@ -66,7 +66,7 @@ fn every_number_of_a_configuration_may_be_anything() {
                         assert!(!within || (error.exclusive && edge), "{error}");
                     }
                     Ok(_) => {
-                        let mut watched = Watched::new(&config).unwrap();
+                        let mut watched = CheckedController::new(&config).unwrap();
                         let script = Script::read(&mut Bytes::new(&[])).with(config);
                         script.fly(&mut watched);
                     }
@@ -84,7 +84,7 @@ fn every_number_of_a_configuration_may_be_at_its_limit() {
     let defaults = Config { params: Params::default(), calibration: Some(flight_core::Calibration::NONE) };
     let count = script::numbers(&mut defaults.clone()).len();
     let fly = |config: Config| {
-        let mut watched = Watched::new(&config)?;
+        let mut watched = CheckedController::new(&config)?;
         Script::read(&mut Bytes::new(&[])).with(config).fly(&mut watched);
         Some(())
     };

@@ -5,7 +5,7 @@ use flight_core::geometry::{Quaternion, Vec3, vec3};
 use random::NormalStream;
 use sim_host::dynamics::{State, VehicleParams};
 use sim_host::effects::sensor::AccelBiasInstability;
-use sim_host::effects::{Build, Moment, Recipe};
+use sim_host::effects::{Build, Recipe, Snapshot};
 
 /// Overlapping deviations at octaves.
 fn octaves(samples: Vec<f64>, interval_s: f64) -> Vec<Point> {
@@ -66,7 +66,7 @@ fn flicker_is_level_over_six_decades() {
         attitude: Quaternion::IDENTITY,
         rates: Vec3::ZERO,
     };
-    let at = Moment {
+    let at = Snapshot {
         time_s: 0.0,
         state: &state,
         specific_force: vec3(0.0, 0.0, -9.80665),

@@ -7,7 +7,7 @@ use flight_core::calibration::SensorCalibration;
 use flight_core::geometry::{Quaternion, Vec3, vec3};
 use flight_core::sample::{ImuSample, Input, MagSample};
 use sim_host::dynamics::{GRAVITY, State};
-use sim_host::effects::Moment;
+use sim_host::effects::Snapshot;
 use sim_host::scene::{BUILT_IN, FIELD_ANKARA_UT, Scene};
 
 use crate::still::STILL;
@@ -45,7 +45,7 @@ fn shown_deg(scene: &Scene, heading_deg: f64) -> f64 {
     let state = State { attitude, ..*STILL.state };
     let mut controller = scene.controller();
     for ms in 0..3000 {
-        let at = Moment { time_s: ms as f64 * 1e-3, state: &state, ..STILL };
+        let at = Snapshot { time_s: ms as f64 * 1e-3, state: &state, ..STILL };
         controller.step(&Input {
             time_us: ms * 1000,
             imu: Some(ImuSample {

@@ -4,11 +4,11 @@ use flight_core::geometry::{Quaternion, Vec3, vec3};
 use sim_host::dynamics::{GRAVITY, State, VehicleParams};
 use sim_host::effects::sensor::AccelWhiteNoise;
 use sim_host::effects::vehicle::VehicleEffect;
-use sim_host::effects::{Build, Moment, Recipe};
+use sim_host::effects::{Build, Recipe, Snapshot};
 use sim_host::sensors::{Converter, Sensor};
 
 /// The truth while it lies there.
-pub const STILL: Moment<'static> = Moment {
+pub const STILL: Snapshot<'static> = Snapshot {
     time_s: 0.0,
     state: &State {
         position: Vec3::ZERO,

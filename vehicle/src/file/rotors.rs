@@ -2,7 +2,7 @@
 
 use flight_core::geometry::Vec3;
 use input::InputError;
-use input::check::within;
+use input::check::in_range;
 
 use super::{Inertia, Notes, Rotors, each, given, one_of};
 
@@ -30,7 +30,7 @@ impl Inertia {
                 inertia
             }
             (None, Some(hub_g), Some(hub_mm)) => {
-                within("inertia.hub_g", hub_g, 1.0, mass_kg * 1e3, "g")?;
+                in_range("inertia.hub_g", hub_g, 1.0, mass_kg * 1e3, "g")?;
                 each("inertia.hub_mm", hub_mm, 1.0, 2_000.0, "mm")?;
                 // A box of length, width and height, and the rest as points at the rotors.
                 let hub_kg = hub_g / 1e3;

@@ -26,7 +26,7 @@ impl<T: Send + 'static> Recipe for Latency<T> {
     type Effect = BoxedDelivery<T>;
 
     fn validate(&self, key: &str) -> Result<(), InputError> {
-        check::one(key, "latency_s", self.latency_s, 0.0, 10.0, "s")
+        check::key_in_range(key, "latency_s", self.latency_s, 0.0, 10.0, "s")
     }
 
     fn build(&self, with: &Build) -> BoxedDelivery<T> {

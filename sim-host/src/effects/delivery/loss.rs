@@ -25,7 +25,7 @@ impl<T: Send + 'static> Recipe for Loss<T> {
     type Effect = BoxedDelivery<T>;
 
     fn validate(&self, key: &str) -> Result<(), InputError> {
-        check::one(key, "probability", self.probability, 0.0, 1.0, "of 1")
+        check::key_in_range(key, "probability", self.probability, 0.0, 1.0, "of 1")
     }
 
     fn build(&self, with: &Build) -> BoxedDelivery<T> {

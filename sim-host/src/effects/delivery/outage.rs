@@ -22,8 +22,8 @@ impl Recipe for Outage {
     type Effect = BoxedDelivery<RcFrame>;
 
     fn validate(&self, key: &str) -> Result<(), InputError> {
-        check::one(key, "at_s", self.at_s, 0.0, 1e6, "s")?;
-        self.for_s.map_or(Ok(()), |for_s| check::one(key, "for_s", for_s, 1e-3, 1e6, "s"))
+        check::key_in_range(key, "at_s", self.at_s, 0.0, 1e6, "s")?;
+        self.for_s.map_or(Ok(()), |for_s| check::key_in_range(key, "for_s", for_s, 1e-3, 1e6, "s"))
     }
 
     fn build(&self, with: &Build) -> BoxedDelivery<RcFrame> {

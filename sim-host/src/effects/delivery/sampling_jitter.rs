@@ -14,7 +14,7 @@ use flight_core::geometry::Vec3;
 use serde::Deserialize;
 
 use super::ImuEffect;
-use crate::effects::{Build, Moment, Recipe};
+use crate::effects::{Build, Recipe, Snapshot};
 use crate::state::State;
 use input::InputError;
 use input::check;
@@ -46,7 +46,7 @@ impl Recipe for SamplingJitter {
     type Effect = ImuEffect;
 
     fn validate(&self, key: &str) -> Result<(), InputError> {
-        check::one(key, "sigma_us", self.sigma_us, 0.0, 1e5, "µs")
+        check::key_in_range(key, "sigma_us", self.sigma_us, 0.0, 1e5, "µs")
     }
 
     fn build(&self, with: &Build) -> ImuEffect {
@@ -94,12 +94,12 @@ impl Jitter {
 
     /// The moment at which the sample is really taken. `state` is a copy of the truth's, to be moved there.
     #[inline]
-    pub fn displaced<'a>(&mut self, at: &Moment, state: &'a mut State) -> Moment<'a> {
+    pub fn displaced<'a>(&mut self, at: &Snapshot, state: &'a mut State) -> Snapshot<'a> {
         let delta_s = self.draw();
         let change = self.before.map_or(Vec3::ZERO, |before| at.specific_force - before);
         self.before = Some(at.specific_force);
         state.rates += at.angular_acceleration * delta_s;
-        Moment {
+        Snapshot {
             time_s: at.time_s + delta_s,
             state,
             specific_force: at.specific_force + change * (delta_s * self.rate_hz),
@@ -148,7 +148,7 @@ mod tests {
             let t = f64::from(k) * 1e-3;
             let (rates, specific_force) = truth(t);
             let state = State { rates, ..STATE };
-            let at = Moment { specific_force, angular_acceleration: acceleration, ..moment(&state, t) };
+            let at = Snapshot { specific_force, angular_acceleration: acceleration, ..moment(&state, t) };
             let mut moved = state;
             let got = jitter.displaced(&at, &mut moved);
             let (wanted_rates, wanted_force) = truth(got.time_s);

@@ -10,7 +10,7 @@
 use flight_core::geometry::Vec3;
 use serde::Deserialize;
 
-use crate::effects::{BoxedSensorEffect, Build, Moment, Recipe, SensorEffect};
+use crate::effects::{BoxedSensorEffect, Build, Recipe, SensorEffect, Snapshot};
 use input::InputError;
 use input::check;
 
@@ -26,7 +26,7 @@ impl Recipe for Bandwidth {
     type Effect = BoxedSensorEffect;
 
     fn validate(&self, key: &str) -> Result<(), InputError> {
-        check::one(key, "cutoff_hz", self.cutoff_hz, 0.1, 1e5, "Hz")
+        check::key_in_range(key, "cutoff_hz", self.cutoff_hz, 0.1, 1e5, "Hz")
     }
 
     fn build(&self, with: &Build) -> BoxedSensorEffect {
@@ -57,7 +57,7 @@ impl LowPass {
 
 impl SensorEffect for LowPass {
     #[inline]
-    fn apply_to(&mut self, reading: &mut Vec3<f64>, _: &Moment) {
+    fn apply_to(&mut self, reading: &mut Vec3<f64>, _: &Snapshot) {
         let fed = *reading * self.b0;
         // At the start, the states of an input that was always there: no transient.
         let [s1, s2] = self.states.unwrap_or_else(|| [*reading - fed, fed - *reading * self.a2]);

@@ -32,7 +32,7 @@ use flight_core::geometry::Vec3;
 use serde::Deserialize;
 
 use super::DEG;
-use crate::effects::{BoxedSensorEffect, Build, Moment, Recipe, SensorEffect};
+use crate::effects::{BoxedSensorEffect, Build, Recipe, SensorEffect, Snapshot};
 use input::InputError;
 use input::check;
 use random::NormalStreams;
@@ -57,7 +57,7 @@ impl Recipe for GyroBiasInstability {
     type Effect = BoxedSensorEffect;
 
     fn validate(&self, key: &str) -> Result<(), InputError> {
-        check::each(key, "b_deg_per_h", self.b_deg_per_h, 0.0, 1e6, "deg/h")
+        check::keys_in_range(key, "b_deg_per_h", self.b_deg_per_h, 0.0, 1e6, "deg/h")
     }
 
     fn build(&self, with: &Build) -> BoxedSensorEffect {
@@ -69,7 +69,7 @@ impl Recipe for AccelBiasInstability {
     type Effect = BoxedSensorEffect;
 
     fn validate(&self, key: &str) -> Result<(), InputError> {
-        check::each(key, "b_m_s2", self.b_m_s2, 0.0, 10.0, "m/s²")
+        check::keys_in_range(key, "b_m_s2", self.b_m_s2, 0.0, 10.0, "m/s²")
     }
 
     fn build(&self, with: &Build) -> BoxedSensorEffect {
@@ -134,7 +134,7 @@ impl Flicker {
 
 impl SensorEffect for Flicker {
     #[inline]
-    fn apply_to(&mut self, reading: &mut Vec3<f64>, _: &Moment) {
+    fn apply_to(&mut self, reading: &mut Vec3<f64>, _: &Snapshot) {
         self.samples += 1;
         let zeros = self.samples.trailing_zeros();
         if zeros & 1 == 1

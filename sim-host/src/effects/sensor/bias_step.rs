@@ -8,7 +8,7 @@ use flight_core::geometry::Vec3;
 use serde::Deserialize;
 
 use super::DEG;
-use crate::effects::{BoxedSensorEffect, Build, Moment, Recipe, SensorEffect};
+use crate::effects::{BoxedSensorEffect, Build, Recipe, SensorEffect, Snapshot};
 use input::InputError;
 use input::check;
 
@@ -26,8 +26,8 @@ impl Recipe for GyroBiasStep {
     type Effect = BoxedSensorEffect;
 
     fn validate(&self, key: &str) -> Result<(), InputError> {
-        check::one(key, "at_s", self.at_s, 0.0, 1e6, "s")?;
-        check::each(key, "bias_deg_s", self.bias_deg_s, -1e3, 1e3, "deg/s")
+        check::key_in_range(key, "at_s", self.at_s, 0.0, 1e6, "s")?;
+        check::keys_in_range(key, "bias_deg_s", self.bias_deg_s, -1e3, 1e3, "deg/s")
     }
 
     fn build(&self, _: &Build) -> BoxedSensorEffect {
@@ -42,7 +42,7 @@ struct Step {
 
 impl SensorEffect for Step {
     #[inline]
-    fn apply_to(&mut self, reading: &mut Vec3<f64>, at: &Moment) {
+    fn apply_to(&mut self, reading: &mut Vec3<f64>, at: &Snapshot) {
         if at.time_s >= self.at_s {
             *reading += self.by;
         }

@@ -8,7 +8,7 @@ use flight_core::geometry::Vec3;
 use serde::Deserialize;
 
 use super::DEG;
-use crate::effects::{BoxedSensorEffect, Build, Moment, Recipe, SensorEffect};
+use crate::effects::{BoxedSensorEffect, Build, Recipe, SensorEffect, Snapshot};
 use input::InputError;
 use input::check;
 
@@ -32,7 +32,7 @@ impl Recipe for GyroConstantBias {
     type Effect = BoxedSensorEffect;
 
     fn validate(&self, key: &str) -> Result<(), InputError> {
-        check::each(key, "bias_deg_s", self.bias_deg_s, -1e3, 1e3, "deg/s")
+        check::keys_in_range(key, "bias_deg_s", self.bias_deg_s, -1e3, 1e3, "deg/s")
     }
 
     fn build(&self, _: &Build) -> BoxedSensorEffect {
@@ -44,7 +44,7 @@ impl Recipe for AccelConstantBias {
     type Effect = BoxedSensorEffect;
 
     fn validate(&self, key: &str) -> Result<(), InputError> {
-        check::each(key, "bias_m_s2", self.bias_m_s2, -100.0, 100.0, "m/s²")
+        check::keys_in_range(key, "bias_m_s2", self.bias_m_s2, -100.0, 100.0, "m/s²")
     }
 
     fn build(&self, _: &Build) -> BoxedSensorEffect {
@@ -58,7 +58,7 @@ pub(super) struct Offset(pub Vec3<f64>);
 
 impl SensorEffect for Offset {
     #[inline]
-    fn apply_to(&mut self, reading: &mut Vec3<f64>, _: &Moment) {
+    fn apply_to(&mut self, reading: &mut Vec3<f64>, _: &Snapshot) {
         *reading += self.0;
     }
 }

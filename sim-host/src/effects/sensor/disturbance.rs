@@ -10,7 +10,7 @@ use std::f64::consts::TAU;
 use flight_core::geometry::Vec3;
 use serde::Deserialize;
 
-use crate::effects::{BoxedSensorEffect, Build, Moment, Recipe, SensorEffect};
+use crate::effects::{BoxedSensorEffect, Build, Recipe, SensorEffect, Snapshot};
 use input::InputError;
 use input::check;
 
@@ -30,9 +30,9 @@ impl Recipe for Disturbance {
     type Effect = BoxedSensorEffect;
 
     fn validate(&self, key: &str) -> Result<(), InputError> {
-        check::one(key, "at_s", self.at_s, 0.0, 1e6, "s")?;
-        check::one(key, "for_s", self.for_s, 1e-3, 1e6, "s")?;
-        check::each(key, "field_ut", self.field_ut, -1e4, 1e4, "µT")
+        check::key_in_range(key, "at_s", self.at_s, 0.0, 1e6, "s")?;
+        check::key_in_range(key, "for_s", self.for_s, 1e-3, 1e6, "s")?;
+        check::keys_in_range(key, "field_ut", self.field_ut, -1e4, 1e4, "µT")
     }
 
     fn build(&self, _: &Build) -> BoxedSensorEffect {
@@ -47,7 +47,7 @@ struct Passing {
 }
 
 impl SensorEffect for Passing {
-    fn apply_to(&mut self, reading: &mut Vec3<f64>, at: &Moment) {
+    fn apply_to(&mut self, reading: &mut Vec3<f64>, at: &Snapshot) {
         let passed = (at.time_s - self.at_s) * self.per_second;
         if !(0.0..=1.0).contains(&passed) {
             return;

@@ -8,7 +8,7 @@ use flight_core::geometry::{Mat3, Vec3};
 use serde::Deserialize;
 
 use super::DEG;
-use crate::effects::{BoxedSensorEffect, Build, Moment, Recipe, SensorEffect};
+use crate::effects::{BoxedSensorEffect, Build, Recipe, SensorEffect, Snapshot};
 use ::vehicle::GRAVITY;
 use input::InputError;
 use input::check;
@@ -26,7 +26,7 @@ impl Recipe for GSensitivity {
 
     fn validate(&self, key: &str) -> Result<(), InputError> {
         let entries = self.matrix_deg_s_per_g.into_iter().flatten();
-        check::each(key, "matrix_deg_s_per_g", entries, -100.0, 100.0, "deg/s/g")
+        check::keys_in_range(key, "matrix_deg_s_per_g", entries, -100.0, 100.0, "deg/s/g")
     }
 
     fn build(&self, _: &Build) -> BoxedSensorEffect {
@@ -39,7 +39,7 @@ struct Coupling(Mat3<f64>);
 
 impl SensorEffect for Coupling {
     #[inline]
-    fn apply_to(&mut self, reading: &mut Vec3<f64>, at: &Moment) {
+    fn apply_to(&mut self, reading: &mut Vec3<f64>, at: &Snapshot) {
         *reading += self.0 * at.specific_force;
     }
 }
@@ -56,7 +56,7 @@ mod tests {
         let mut effect = build(&GSensitivity { matrix_deg_s_per_g: g }, 100.0);
         let level = at_rest(|at| effect.apply(Vec3::ZERO, at)) * (1.0 / DEG);
         assert!((level - vec3(-0.1, 0.0, 0.4)).norm() < 1e-12, "{level:?}");
-        let pushed = Moment { specific_force: vec3(GRAVITY, 2.0 * GRAVITY, 0.0), ..moment(&STATE, 0.0) };
+        let pushed = Snapshot { specific_force: vec3(GRAVITY, 2.0 * GRAVITY, 0.0), ..moment(&STATE, 0.0) };
         let pushed = effect.apply(vec3(1.0, 0.0, 0.0), &pushed);
         assert!((pushed - vec3(1.0, 0.4 * DEG, 0.3 * DEG)).norm() < 1e-12, "{pushed:?}");
     }

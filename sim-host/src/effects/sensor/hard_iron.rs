@@ -5,7 +5,7 @@
 use flight_core::geometry::Vec3;
 use serde::Deserialize;
 
-use crate::effects::{BoxedSensorEffect, Build, Moment, Recipe, SensorEffect};
+use crate::effects::{BoxedSensorEffect, Build, Recipe, SensorEffect, Snapshot};
 use input::InputError;
 use input::check;
 
@@ -21,7 +21,7 @@ impl Recipe for HardIron {
     type Effect = BoxedSensorEffect;
 
     fn validate(&self, key: &str) -> Result<(), InputError> {
-        check::each(key, "field_ut", self.field_ut, -1e4, 1e4, "µT")
+        check::keys_in_range(key, "field_ut", self.field_ut, -1e4, 1e4, "µT")
     }
 
     fn build(&self, _: &Build) -> BoxedSensorEffect {
@@ -32,7 +32,7 @@ impl Recipe for HardIron {
 struct Offset(Vec3<f64>);
 
 impl SensorEffect for Offset {
-    fn apply_to(&mut self, reading: &mut Vec3<f64>, _: &Moment) {
+    fn apply_to(&mut self, reading: &mut Vec3<f64>, _: &Snapshot) {
         *reading += self.0;
     }
 }

@@ -6,7 +6,7 @@
 use flight_core::geometry::Vec3;
 use serde::Deserialize;
 
-use crate::effects::{BoxedSensorEffect, Build, Moment, Recipe, SensorEffect};
+use crate::effects::{BoxedSensorEffect, Build, Recipe, SensorEffect, Snapshot};
 use input::InputError;
 use input::check;
 
@@ -22,7 +22,7 @@ impl Recipe for LeverArm {
     type Effect = BoxedSensorEffect;
 
     fn validate(&self, key: &str) -> Result<(), InputError> {
-        check::each(key, "r_m", self.r_m, -10.0, 10.0, "m")
+        check::keys_in_range(key, "r_m", self.r_m, -10.0, 10.0, "m")
     }
 
     fn build(&self, _: &Build) -> BoxedSensorEffect {
@@ -34,7 +34,7 @@ struct Arm(Vec3<f64>);
 
 impl SensorEffect for Arm {
     #[inline]
-    fn apply_to(&mut self, reading: &mut Vec3<f64>, at: &Moment) {
+    fn apply_to(&mut self, reading: &mut Vec3<f64>, at: &Snapshot) {
         let rates = at.state.rates;
         *reading += at.angular_acceleration.cross(self.0) + rates.cross(rates.cross(self.0));
     }
@@ -51,7 +51,7 @@ mod tests {
     fn a_turntable_pulls_inwards_and_along() {
         let mut effect = build(&LeverArm { r_m: [0.5, 0.0, 0.2] }, 100.0);
         let state = State { rates: vec3(0.0, 0.0, 3.0), ..STATE };
-        let at = Moment { angular_acceleration: vec3(0.0, 0.0, 2.0), ..moment(&state, 0.0) };
+        let at = Snapshot { angular_acceleration: vec3(0.0, 0.0, 2.0), ..moment(&state, 0.0) };
         // −ω² r inwards, α r along; what lies on the axis feels nothing.
         let felt = effect.apply(Vec3::ZERO, &at);
         assert!((felt - vec3(-9.0 * 0.5, 2.0 * 0.5, 0.0)).norm() < 1e-15, "{felt:?}");
@@ -72,7 +72,7 @@ mod tests {
         let body = vec3(c * world.x - s * world.z, 0.0, c * world.z + s * world.x);
         let state = State { rates: vec3(0.0, 1.5 * (5.0 * t).cos(), 0.0), ..STATE };
         let turning = vec3(0.0, -7.5 * (5.0 * t).sin(), 0.0);
-        let got = effect.apply(Vec3::ZERO, &Moment { angular_acceleration: turning, ..moment(&state, t) });
+        let got = effect.apply(Vec3::ZERO, &Snapshot { angular_acceleration: turning, ..moment(&state, t) });
         assert!((got - body).norm() < 1e-6, "{got:?} {body:?}");
     }
 }

@@ -15,7 +15,7 @@
 use flight_core::geometry::{Mat3, Vec3};
 use serde::Deserialize;
 
-use crate::effects::{BoxedSensorEffect, Build, Moment, Recipe, SensorEffect};
+use crate::effects::{BoxedSensorEffect, Build, Recipe, SensorEffect, Snapshot};
 use input::InputError;
 use input::check;
 
@@ -46,8 +46,15 @@ impl Recipe for Misalignment {
 
     fn validate(&self, key: &str) -> Result<(), InputError> {
         // Beyond 0.2 rad small angles are off by 2 %: that is a mounting to be calibrated, not an error.
-        check::each(key, "mounting_mrad", self.mounting_mrad, -200.0, 200.0, "mrad")?;
-        check::each(key, "non_orthogonality_mrad", self.non_orthogonality_mrad, -200.0, 200.0, "mrad")
+        check::keys_in_range(key, "mounting_mrad", self.mounting_mrad, -200.0, 200.0, "mrad")?;
+        check::keys_in_range(
+            key,
+            "non_orthogonality_mrad",
+            self.non_orthogonality_mrad,
+            -200.0,
+            200.0,
+            "mrad",
+        )
     }
 
     fn build(&self, _: &Build) -> BoxedSensorEffect {
@@ -59,7 +66,7 @@ struct Axes(Mat3<f64>);
 
 impl SensorEffect for Axes {
     #[inline]
-    fn apply_to(&mut self, reading: &mut Vec3<f64>, _: &Moment) {
+    fn apply_to(&mut self, reading: &mut Vec3<f64>, _: &Snapshot) {
         *reading = self.0 * *reading;
     }
 }

@@ -1,7 +1,7 @@
 //! The field of the current that the motors draw: it turns with the vehicle and changes with the throttle.
 //!
 //! m ← m + k I. By Biot and Savart the field is proportional to the current, with a k for each axis that the
-//! wiring decides; flight stacks take it out the same way (ArduPilot's compass-motor setup: an offset per
+//! wiring decides; flight stacks take it out the same way (ArduPilot's magnetometer-motor setup: an offset per
 //! ampere; PX4's current compensation: gauss per kiloampere). A rotor at Ω takes the torque d Ω², so the
 //! power d Ω³; motors and ESCs of efficiency η draw
 //!
@@ -13,7 +13,7 @@
 use flight_core::geometry::Vec3;
 use serde::Deserialize;
 
-use crate::effects::{BoxedSensorEffect, Build, Moment, Recipe, SensorEffect};
+use crate::effects::{BoxedSensorEffect, Build, Recipe, SensorEffect, Snapshot};
 use input::InputError;
 use input::check;
 
@@ -33,9 +33,9 @@ impl Recipe for MotorCurrent {
     type Effect = BoxedSensorEffect;
 
     fn validate(&self, key: &str) -> Result<(), InputError> {
-        check::each(key, "field_ut_per_a", self.field_ut_per_a, -1e3, 1e3, "µT/A")?;
-        check::one(key, "supply_v", self.supply_v, 1.0, 1e3, "V")?;
-        check::one(key, "efficiency", self.efficiency, 0.01, 1.0, "of 1")
+        check::keys_in_range(key, "field_ut_per_a", self.field_ut_per_a, -1e3, 1e3, "µT/A")?;
+        check::key_in_range(key, "supply_v", self.supply_v, 1.0, 1e3, "V")?;
+        check::key_in_range(key, "efficiency", self.efficiency, 0.01, 1.0, "of 1")
     }
 
     fn build(&self, with: &Build) -> BoxedSensorEffect {
@@ -50,7 +50,7 @@ struct Wiring {
 }
 
 impl SensorEffect for Wiring {
-    fn apply_to(&mut self, reading: &mut Vec3<f64>, at: &Moment) {
+    fn apply_to(&mut self, reading: &mut Vec3<f64>, at: &Snapshot) {
         let cubes: f64 = at.rotors.iter().map(|speed| speed * speed * speed).sum();
         *reading += self.field_per_cube * cubes;
     }
@@ -76,7 +76,7 @@ mod tests {
         let torque = p.mass_kg * GRAVITY * p.torque_coefficient / p.thrust_coefficient;
         let current = torque * speed / (0.6 * 11.1);
         assert!((current - 5.2).abs() < 0.05, "{current}");
-        let hovering = Moment { rotors: [speed; 4], ..standing };
+        let hovering = Snapshot { rotors: [speed; 4], ..standing };
         let added = effect.apply(Vec3::ZERO, &hovering);
         assert!((added - vec3(2.0, -1.0, 0.5) * current).norm() < 1e-9, "{added:?}");
     }

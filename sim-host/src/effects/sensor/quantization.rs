@@ -8,7 +8,7 @@ use flight_core::geometry::{Vec3, vec3};
 use serde::Deserialize;
 
 use super::DEG;
-use crate::effects::{BoxedSensorEffect, Build, Moment, Recipe, SensorEffect};
+use crate::effects::{BoxedSensorEffect, Build, Recipe, SensorEffect, Snapshot};
 use input::InputError;
 use input::check;
 
@@ -32,7 +32,7 @@ impl Recipe for GyroQuantization {
     type Effect = BoxedSensorEffect;
 
     fn validate(&self, key: &str) -> Result<(), InputError> {
-        check::one(key, "lsb_deg_s", self.lsb_deg_s, 1e-9, 1e3, "deg/s")
+        check::key_in_range(key, "lsb_deg_s", self.lsb_deg_s, 1e-9, 1e3, "deg/s")
     }
 
     fn build(&self, _: &Build) -> BoxedSensorEffect {
@@ -44,7 +44,7 @@ impl Recipe for AccelQuantization {
     type Effect = BoxedSensorEffect;
 
     fn validate(&self, key: &str) -> Result<(), InputError> {
-        check::one(key, "lsb_m_s2", self.lsb_m_s2, 1e-9, 100.0, "m/s²")
+        check::key_in_range(key, "lsb_m_s2", self.lsb_m_s2, 1e-9, 100.0, "m/s²")
     }
 
     fn build(&self, _: &Build) -> BoxedSensorEffect {
@@ -65,7 +65,7 @@ impl Steps {
 
 impl SensorEffect for Steps {
     #[inline]
-    fn apply_to(&mut self, reading: &mut Vec3<f64>, _: &Moment) {
+    fn apply_to(&mut self, reading: &mut Vec3<f64>, _: &Snapshot) {
         // Adding and taking away 1.5 · 2⁵² rounds to the nearest integer, halves to even, below 2⁵¹ steps: at the
         // finest LSB allowed that is 2,000,000 in the unit of its key.
         const ROUNDER: f64 = 6_755_399_441_055_744.0;

@@ -6,7 +6,7 @@ use flight_core::geometry::Vec3;
 use serde::Deserialize;
 
 use super::DEG;
-use crate::effects::{BoxedSensorEffect, Build, Moment, Recipe, SensorEffect};
+use crate::effects::{BoxedSensorEffect, Build, Recipe, SensorEffect, Snapshot};
 use input::InputError;
 use input::check;
 
@@ -30,7 +30,7 @@ impl Recipe for GyroRateRamp {
     type Effect = BoxedSensorEffect;
 
     fn validate(&self, key: &str) -> Result<(), InputError> {
-        check::each(key, "r_deg_s_per_s", self.r_deg_s_per_s, -100.0, 100.0, "deg/s/s")
+        check::keys_in_range(key, "r_deg_s_per_s", self.r_deg_s_per_s, -100.0, 100.0, "deg/s/s")
     }
 
     fn build(&self, _: &Build) -> BoxedSensorEffect {
@@ -42,7 +42,7 @@ impl Recipe for AccelRateRamp {
     type Effect = BoxedSensorEffect;
 
     fn validate(&self, key: &str) -> Result<(), InputError> {
-        check::each(key, "r_m_s2_per_s", self.r_m_s2_per_s, -10.0, 10.0, "m/s²/s")
+        check::keys_in_range(key, "r_m_s2_per_s", self.r_m_s2_per_s, -10.0, 10.0, "m/s²/s")
     }
 
     fn build(&self, _: &Build) -> BoxedSensorEffect {
@@ -54,7 +54,7 @@ struct Ramp(Vec3<f64>);
 
 impl SensorEffect for Ramp {
     #[inline]
-    fn apply_to(&mut self, reading: &mut Vec3<f64>, at: &Moment) {
+    fn apply_to(&mut self, reading: &mut Vec3<f64>, at: &Snapshot) {
         *reading += self.0 * at.time_s;
     }
 }

@@ -7,7 +7,7 @@ use flight_core::geometry::Vec3;
 use serde::Deserialize;
 
 use super::DEG;
-use crate::effects::{BoxedSensorEffect, Build, Moment, Recipe, SensorEffect};
+use crate::effects::{BoxedSensorEffect, Build, Recipe, SensorEffect, Snapshot};
 use input::InputError;
 use input::check;
 use random::NormalStreams;
@@ -32,7 +32,7 @@ impl Recipe for GyroRateRandomWalk {
     type Effect = BoxedSensorEffect;
 
     fn validate(&self, key: &str) -> Result<(), InputError> {
-        check::each(key, "k_deg_s_per_sqrt_s", self.k_deg_s_per_sqrt_s, 0.0, 100.0, "deg/s/√s")
+        check::keys_in_range(key, "k_deg_s_per_sqrt_s", self.k_deg_s_per_sqrt_s, 0.0, 100.0, "deg/s/√s")
     }
 
     fn build(&self, with: &Build) -> BoxedSensorEffect {
@@ -44,7 +44,7 @@ impl Recipe for AccelRateRandomWalk {
     type Effect = BoxedSensorEffect;
 
     fn validate(&self, key: &str) -> Result<(), InputError> {
-        check::each(key, "k_m_s2_per_sqrt_s", self.k_m_s2_per_sqrt_s, 0.0, 10.0, "m/s²/√s")
+        check::keys_in_range(key, "k_m_s2_per_sqrt_s", self.k_m_s2_per_sqrt_s, 0.0, 10.0, "m/s²/√s")
     }
 
     fn build(&self, with: &Build) -> BoxedSensorEffect {
@@ -67,7 +67,7 @@ impl Walk {
 
 impl SensorEffect for Walk {
     #[inline]
-    fn apply_to(&mut self, reading: &mut Vec3<f64>, _: &Moment) {
+    fn apply_to(&mut self, reading: &mut Vec3<f64>, _: &Snapshot) {
         *reading += self.bias;
         self.bias += self.step.scale_by(self.streams.draw());
     }

@@ -6,7 +6,7 @@ use flight_core::geometry::{Vec3, vec3};
 use serde::Deserialize;
 
 use super::DEG;
-use crate::effects::{BoxedSensorEffect, Build, Moment, Recipe, SensorEffect};
+use crate::effects::{BoxedSensorEffect, Build, Recipe, SensorEffect, Snapshot};
 use ::vehicle::GRAVITY;
 use input::InputError;
 use input::check;
@@ -31,7 +31,7 @@ impl Recipe for GyroSaturation {
     type Effect = BoxedSensorEffect;
 
     fn validate(&self, key: &str) -> Result<(), InputError> {
-        check::one(key, "full_scale_deg_s", self.full_scale_deg_s, 1.0, 1e5, "deg/s")
+        check::key_in_range(key, "full_scale_deg_s", self.full_scale_deg_s, 1.0, 1e5, "deg/s")
     }
 
     fn build(&self, _: &Build) -> BoxedSensorEffect {
@@ -43,7 +43,7 @@ impl Recipe for AccelSaturation {
     type Effect = BoxedSensorEffect;
 
     fn validate(&self, key: &str) -> Result<(), InputError> {
-        check::one(key, "full_scale_g", self.full_scale_g, 0.1, 1e3, "g")
+        check::key_in_range(key, "full_scale_g", self.full_scale_g, 0.1, 1e3, "g")
     }
 
     fn build(&self, _: &Build) -> BoxedSensorEffect {
@@ -55,7 +55,7 @@ struct Limit(f64);
 
 impl SensorEffect for Limit {
     #[inline]
-    fn apply_to(&mut self, reading: &mut Vec3<f64>, _: &Moment) {
+    fn apply_to(&mut self, reading: &mut Vec3<f64>, _: &Snapshot) {
         let limited = |y: f64| y.clamp(-self.0, self.0);
         *reading = vec3(limited(reading.x), limited(reading.y), limited(reading.z));
     }

@@ -5,7 +5,7 @@
 use flight_core::geometry::Vec3;
 use serde::Deserialize;
 
-use crate::effects::{BoxedSensorEffect, Build, Moment, Recipe, SensorEffect};
+use crate::effects::{BoxedSensorEffect, Build, Recipe, SensorEffect, Snapshot};
 use input::InputError;
 use input::check;
 
@@ -21,7 +21,7 @@ impl Recipe for ScaleFactor {
     type Effect = BoxedSensorEffect;
 
     fn validate(&self, key: &str) -> Result<(), InputError> {
-        check::each(key, "error_ppm", self.error_ppm, -5e5, 5e5, "ppm")
+        check::keys_in_range(key, "error_ppm", self.error_ppm, -5e5, 5e5, "ppm")
     }
 
     fn build(&self, _: &Build) -> BoxedSensorEffect {
@@ -33,7 +33,7 @@ struct Scale(Vec3<f64>);
 
 impl SensorEffect for Scale {
     #[inline]
-    fn apply_to(&mut self, reading: &mut Vec3<f64>, _: &Moment) {
+    fn apply_to(&mut self, reading: &mut Vec3<f64>, _: &Snapshot) {
         *reading = reading.scale_by(self.0);
     }
 }

@@ -6,7 +6,7 @@
 use flight_core::geometry::{Mat3, Vec3};
 use serde::Deserialize;
 
-use crate::effects::{BoxedSensorEffect, Build, Moment, Recipe, SensorEffect};
+use crate::effects::{BoxedSensorEffect, Build, Recipe, SensorEffect, Snapshot};
 use input::InputError;
 use input::check;
 
@@ -22,10 +22,10 @@ impl Recipe for SoftIron {
     type Effect = BoxedSensorEffect;
 
     fn validate(&self, key: &str) -> Result<(), InputError> {
-        check::each(key, "matrix", self.matrix.into_iter().flatten(), -10.0, 10.0, "µT/µT")?;
+        check::keys_in_range(key, "matrix", self.matrix.into_iter().flatten(), -10.0, 10.0, "µT/µT")?;
         // A reflection or a plane is no iron: no calibration could take it out.
         let determinant = Mat3::from_rows(self.matrix).determinant();
-        check::one(key, "matrix", determinant, 1e-3, 1e3, "in its determinant")
+        check::key_in_range(key, "matrix", determinant, 1e-3, 1e3, "in its determinant")
     }
 
     fn build(&self, _: &Build) -> BoxedSensorEffect {
@@ -36,7 +36,7 @@ impl Recipe for SoftIron {
 struct Bend(Mat3<f64>);
 
 impl SensorEffect for Bend {
-    fn apply_to(&mut self, reading: &mut Vec3<f64>, _: &Moment) {
+    fn apply_to(&mut self, reading: &mut Vec3<f64>, _: &Snapshot) {
         *reading = self.0 * *reading;
     }
 }

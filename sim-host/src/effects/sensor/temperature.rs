@@ -12,7 +12,7 @@ use flight_core::geometry::{Vec3, vec3};
 use serde::Deserialize;
 
 use super::DEG;
-use crate::effects::{BoxedSensorEffect, Build, Moment, Recipe, SensorEffect};
+use crate::effects::{BoxedSensorEffect, Build, Recipe, SensorEffect, Snapshot};
 use input::InputError;
 use input::check;
 
@@ -65,9 +65,9 @@ pub struct AccelTemperature {
 
 fn validate_curve(key: &str, temperatures_c: [(&str, f64); 3], tau_s: f64) -> Result<(), InputError> {
     for (field, celsius) in temperatures_c {
-        check::one(key, field, celsius, -100.0, 200.0, "°C")?;
+        check::key_in_range(key, field, celsius, -100.0, 200.0, "°C")?;
     }
-    check::one(key, "tau_s", tau_s, 0.01, 1e6, "s")
+    check::key_in_range(key, "tau_s", tau_s, 0.01, 1e6, "s")
 }
 
 impl Recipe for GyroTemperature {
@@ -77,8 +77,8 @@ impl Recipe for GyroTemperature {
         let temperatures_c =
             [("start_c", self.start_c), ("end_c", self.end_c), ("reference_c", self.reference_c)];
         validate_curve(key, temperatures_c, self.tau_s)?;
-        check::each(key, "bias_deg_s_per_k", self.bias_deg_s_per_k, -10.0, 10.0, "deg/s/K")?;
-        check::each(key, "scale_ppm_per_k", self.scale_ppm_per_k, -1e4, 1e4, "ppm/K")
+        check::keys_in_range(key, "bias_deg_s_per_k", self.bias_deg_s_per_k, -10.0, 10.0, "deg/s/K")?;
+        check::keys_in_range(key, "scale_ppm_per_k", self.scale_ppm_per_k, -1e4, 1e4, "ppm/K")
     }
 
     fn build(&self, with: &Build) -> BoxedSensorEffect {
@@ -99,8 +99,8 @@ impl Recipe for AccelTemperature {
         let temperatures_c =
             [("start_c", self.start_c), ("end_c", self.end_c), ("reference_c", self.reference_c)];
         validate_curve(key, temperatures_c, self.tau_s)?;
-        check::each(key, "bias_m_s2_per_k", self.bias_m_s2_per_k, -1.0, 1.0, "m/s²/K")?;
-        check::each(key, "scale_ppm_per_k", self.scale_ppm_per_k, -1e4, 1e4, "ppm/K")
+        check::keys_in_range(key, "bias_m_s2_per_k", self.bias_m_s2_per_k, -1.0, 1.0, "m/s²/K")?;
+        check::keys_in_range(key, "scale_ppm_per_k", self.scale_ppm_per_k, -1e4, 1e4, "ppm/K")
     }
 
     fn build(&self, with: &Build) -> BoxedSensorEffect {
@@ -132,7 +132,7 @@ struct WarmUp {
 
 impl SensorEffect for WarmUp {
     #[inline]
-    fn apply_to(&mut self, reading: &mut Vec3<f64>, _: &Moment) {
+    fn apply_to(&mut self, reading: &mut Vec3<f64>, _: &Snapshot) {
         let scale = vec3(1.0, 1.0, 1.0) + self.scale_per_k * self.excess_k;
         *reading = reading.scale_by(scale) + self.bias_per_k * self.excess_k;
         // Step by step rather than by the exponential of the time, which would cost more than the rest. It is

@@ -2,7 +2,7 @@
 
 use flight_core::geometry::{Quaternion, Vec3, vec3};
 
-use crate::effects::{BoxedSensorEffect, Build, Moment, Recipe};
+use crate::effects::{BoxedSensorEffect, Build, Recipe, Snapshot};
 use crate::state::State;
 use ::vehicle::{GRAVITY, VehicleParams};
 
@@ -31,13 +31,13 @@ pub const STATE: State =
     State { position: Vec3::ZERO, velocity: Vec3::ZERO, attitude: Quaternion::IDENTITY, rates: Vec3::ZERO };
 
 /// Calls with the moment of a vehicle at rest.
-pub fn at_rest<T>(f: impl FnOnce(&Moment) -> T) -> T {
+pub fn at_rest<T>(f: impl FnOnce(&Snapshot) -> T) -> T {
     f(&moment(&STATE, 0.0))
 }
 
 /// A moment at time `time_s` in this state, unaccelerated, with the rotors standing.
-pub fn moment(state: &State, time_s: f64) -> Moment<'_> {
-    Moment {
+pub fn moment(state: &State, time_s: f64) -> Snapshot<'_> {
+    Snapshot {
         time_s,
         state,
         specific_force: state.attitude.conjugate().rotate(vec3(0.0, 0.0, -GRAVITY)),

@@ -32,7 +32,7 @@ impl Recipe for GyroTurnOnBias {
     type Effect = BoxedSensorEffect;
 
     fn validate(&self, key: &str) -> Result<(), InputError> {
-        check::each(key, "sigma_deg_s", self.sigma_deg_s, 0.0, 1e3, "deg/s")
+        check::keys_in_range(key, "sigma_deg_s", self.sigma_deg_s, 0.0, 1e3, "deg/s")
     }
 
     fn build(&self, with: &Build) -> BoxedSensorEffect {
@@ -44,7 +44,7 @@ impl Recipe for AccelTurnOnBias {
     type Effect = BoxedSensorEffect;
 
     fn validate(&self, key: &str) -> Result<(), InputError> {
-        check::each(key, "sigma_m_s2", self.sigma_m_s2, 0.0, 100.0, "m/s²")
+        check::keys_in_range(key, "sigma_m_s2", self.sigma_m_s2, 0.0, 100.0, "m/s²")
     }
 
     fn build(&self, with: &Build) -> BoxedSensorEffect {

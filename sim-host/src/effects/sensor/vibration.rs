@@ -16,7 +16,7 @@ use serde::Deserialize;
 use wide::f64x4;
 
 use super::DEG;
-use crate::effects::{BoxedSensorEffect, Build, Moment, Recipe, SensorEffect};
+use crate::effects::{BoxedSensorEffect, Build, Recipe, SensorEffect, Snapshot};
 use ::vehicle::{GRAVITY, VehicleParams};
 use input::InputError;
 use input::check;
@@ -67,17 +67,18 @@ fn validate_spectrum(key: &str, harmonics: &[f64], reference_rad_s: Option<f64>)
             .field(format!("{key}.harmonics"))
             .value(harmonics.len()));
     }
-    check::each(key, "harmonics", harmonics.iter().copied(), -100.0, 100.0, "of the first")?;
-    reference_rad_s.map_or(Ok(()), |speed| check::one(key, "reference_rad_s", speed, 1.0, 1e4, "rad/s"))
+    check::keys_in_range(key, "harmonics", harmonics.iter().copied(), -100.0, 100.0, "of the first")?;
+    reference_rad_s
+        .map_or(Ok(()), |speed| check::key_in_range(key, "reference_rad_s", speed, 1.0, 1e4, "rad/s"))
 }
 
 impl Recipe for GyroVibration {
     type Effect = BoxedSensorEffect;
 
     fn validate(&self, key: &str) -> Result<(), InputError> {
-        check::each(key, "tone_deg_s", self.tone_deg_s, 0.0, 1e3, "deg/s")?;
+        check::keys_in_range(key, "tone_deg_s", self.tone_deg_s, 0.0, 1e3, "deg/s")?;
         let noise = self.broadband_deg_s_per_sqrt_hz;
-        check::each(key, "broadband_deg_s_per_sqrt_hz", noise, 0.0, 100.0, "deg/s/√Hz")?;
+        check::keys_in_range(key, "broadband_deg_s_per_sqrt_hz", noise, 0.0, 100.0, "deg/s/√Hz")?;
         validate_spectrum(key, &self.harmonics, self.reference_rad_s)
     }
 
@@ -96,9 +97,9 @@ impl Recipe for AccelVibration {
     type Effect = BoxedSensorEffect;
 
     fn validate(&self, key: &str) -> Result<(), InputError> {
-        check::each(key, "tone_m_s2", self.tone_m_s2, 0.0, 1e3, "m/s²")?;
+        check::keys_in_range(key, "tone_m_s2", self.tone_m_s2, 0.0, 1e3, "m/s²")?;
         let noise = self.broadband_m_s2_per_sqrt_hz;
-        check::each(key, "broadband_m_s2_per_sqrt_hz", noise, 0.0, 100.0, "m/s²/√Hz")?;
+        check::keys_in_range(key, "broadband_m_s2_per_sqrt_hz", noise, 0.0, 100.0, "m/s²/√Hz")?;
         validate_spectrum(key, &self.harmonics, self.reference_rad_s)
     }
 
@@ -210,7 +211,7 @@ fn sum(x: f64x4) -> f64 {
 
 impl SensorEffect for Vibration {
     #[inline]
-    fn apply_to(&mut self, reading: &mut Vec3<f64>, at: &Moment) {
+    fn apply_to(&mut self, reading: &mut Vec3<f64>, at: &Snapshot) {
         const QUARTER: f64x4 = f64x4::splat(0.25);
         let speeds = f64x4::from(at.rotors);
         if let Some(last) = self.speeds {
@@ -243,8 +244,8 @@ mod tests {
     use crate::effects::sensor::testing::{STATE, build, moment};
     use std::f64::consts::TAU;
 
-    fn turning(rotors: [f64; 4]) -> Moment<'static> {
-        Moment { rotors, ..moment(&STATE, 0.0) }
+    fn turning(rotors: [f64; 4]) -> Snapshot<'static> {
+        Snapshot { rotors, ..moment(&STATE, 0.0) }
     }
 
     /// Amplitude at this frequency in samples of x, y, z at 100 Hz: whole periods in 10 s.

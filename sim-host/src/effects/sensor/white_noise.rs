@@ -8,7 +8,7 @@ use flight_core::geometry::Vec3;
 use serde::Deserialize;
 
 use super::DEG;
-use crate::effects::{BoxedSensorEffect, Build, Moment, Recipe, SensorEffect};
+use crate::effects::{BoxedSensorEffect, Build, Recipe, SensorEffect, Snapshot};
 use input::InputError;
 use input::check;
 use random::NormalStreams;
@@ -41,7 +41,7 @@ impl Recipe for GyroWhiteNoise {
     type Effect = BoxedSensorEffect;
 
     fn validate(&self, key: &str) -> Result<(), InputError> {
-        check::each(key, "n_deg_per_sqrt_h", self.n_deg_per_sqrt_h, 0.0, 1e3, "deg/√h")
+        check::keys_in_range(key, "n_deg_per_sqrt_h", self.n_deg_per_sqrt_h, 0.0, 1e3, "deg/√h")
     }
 
     fn build(&self, with: &Build) -> BoxedSensorEffect {
@@ -53,7 +53,7 @@ impl Recipe for AccelWhiteNoise {
     type Effect = BoxedSensorEffect;
 
     fn validate(&self, key: &str) -> Result<(), InputError> {
-        check::each(key, "n_m_s2_per_sqrt_hz", self.n_m_s2_per_sqrt_hz, 0.0, 10.0, "m/s²/√Hz")
+        check::keys_in_range(key, "n_m_s2_per_sqrt_hz", self.n_m_s2_per_sqrt_hz, 0.0, 10.0, "m/s²/√Hz")
     }
 
     fn build(&self, with: &Build) -> BoxedSensorEffect {
@@ -65,7 +65,7 @@ impl Recipe for MagWhiteNoise {
     type Effect = BoxedSensorEffect;
 
     fn validate(&self, key: &str) -> Result<(), InputError> {
-        check::each(key, "n_ut_per_sqrt_hz", self.n_ut_per_sqrt_hz, 0.0, 100.0, "µT/√Hz")
+        check::keys_in_range(key, "n_ut_per_sqrt_hz", self.n_ut_per_sqrt_hz, 0.0, 100.0, "µT/√Hz")
     }
 
     fn build(&self, with: &Build) -> BoxedSensorEffect {
@@ -89,7 +89,7 @@ impl WhiteNoise {
 
 impl SensorEffect for WhiteNoise {
     #[inline]
-    fn apply_to(&mut self, reading: &mut Vec3<f64>, _: &Moment) {
+    fn apply_to(&mut self, reading: &mut Vec3<f64>, _: &Snapshot) {
         *reading += self.deviation.scale_by(self.streams.draw());
     }
 }

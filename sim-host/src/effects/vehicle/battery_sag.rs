@@ -20,7 +20,7 @@
 use serde::Deserialize;
 
 use super::{CommandEffect, VehicleEffect};
-use crate::effects::{Build, Moment, Recipe};
+use crate::effects::{Build, Recipe, Snapshot};
 use input::InputError;
 use input::check;
 
@@ -49,11 +49,11 @@ impl Recipe for BatterySag {
     type Effect = VehicleEffect;
 
     fn validate(&self, key: &str) -> Result<(), InputError> {
-        check::one(key, "cells", f64::from(self.cells), 1.0, 24.0, "cells")?;
-        check::one(key, "capacity_mah", self.capacity_mah, 10.0, 1e6, "mAh")?;
-        check::one(key, "resistance_mohm", self.resistance_mohm, 0.1, 1e4, "mΩ")?;
-        check::one(key, "efficiency", self.efficiency, 0.05, 1.0, "of the battery's power")?;
-        check::one(key, "charge", self.charge, 0.0, 1.0, "of full charge")
+        check::key_in_range(key, "cells", f64::from(self.cells), 1.0, 24.0, "cells")?;
+        check::key_in_range(key, "capacity_mah", self.capacity_mah, 10.0, 1e6, "mAh")?;
+        check::key_in_range(key, "resistance_mohm", self.resistance_mohm, 0.1, 1e4, "mΩ")?;
+        check::key_in_range(key, "efficiency", self.efficiency, 0.05, 1.0, "of the battery's power")?;
+        check::key_in_range(key, "charge", self.charge, 0.0, 1.0, "of full charge")
     }
 
     fn build(&self, with: &Build) -> VehicleEffect {
@@ -129,7 +129,7 @@ struct Battery {
 }
 
 impl CommandEffect for Battery {
-    fn apply(&mut self, wanted: &mut [f64; 4], at: &Moment) {
+    fn apply(&mut self, wanted: &mut [f64; 4], at: &Snapshot) {
         let cubes: f64 = at.rotors.iter().map(|speed| speed * speed * speed).sum();
         self.pack.give(self.power_per_cube * cubes, self.interval_s);
         let share = self.pack.voltage_v * self.per_full_v;

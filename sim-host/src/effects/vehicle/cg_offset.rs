@@ -29,7 +29,7 @@ impl Recipe for CgOffset {
     type Effect = VehicleEffect;
 
     fn validate(&self, key: &str) -> Result<(), InputError> {
-        check::each(key, "offset_m", self.offset_m, -1.0, 1.0, "m")
+        check::keys_in_range(key, "offset_m", self.offset_m, -1.0, 1.0, "m")
     }
 
     fn build(&self, _: &Build) -> VehicleEffect {

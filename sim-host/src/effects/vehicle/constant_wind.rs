@@ -7,7 +7,7 @@ use flight_core::geometry::Vec3;
 use serde::Deserialize;
 
 use super::{VehicleEffect, WindEffect};
-use crate::effects::{Build, Moment, Recipe};
+use crate::effects::{Build, Recipe, Snapshot};
 use input::InputError;
 use input::check;
 
@@ -23,7 +23,7 @@ impl Recipe for ConstantWind {
     type Effect = VehicleEffect;
 
     fn validate(&self, key: &str) -> Result<(), InputError> {
-        check::each(key, "velocity_m_s", self.velocity_m_s, -100.0, 100.0, "m/s")
+        check::keys_in_range(key, "velocity_m_s", self.velocity_m_s, -100.0, 100.0, "m/s")
     }
 
     fn build(&self, _: &Build) -> VehicleEffect {
@@ -34,7 +34,7 @@ impl Recipe for ConstantWind {
 struct Steady(Vec3<f64>);
 
 impl WindEffect for Steady {
-    fn velocity(&mut self, _: &Moment) -> Vec3<f64> {
+    fn velocity(&mut self, _: &Snapshot) -> Vec3<f64> {
         self.0
     }
 }

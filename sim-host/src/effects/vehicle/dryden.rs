@@ -31,7 +31,7 @@ use flight_core::geometry::{Vec3, vec3};
 use serde::Deserialize;
 
 use super::{VehicleEffect, WindEffect};
-use crate::effects::{Build, Moment, Recipe};
+use crate::effects::{Build, Recipe, Snapshot};
 use input::InputError;
 use input::check;
 use random::NormalStream;
@@ -53,11 +53,11 @@ impl Recipe for Dryden {
     type Effect = VehicleEffect;
 
     fn validate(&self, key: &str) -> Result<(), InputError> {
-        check::one(key, "airspeed_m_s", self.airspeed_m_s, 0.1, 100.0, "m/s")?;
+        check::key_in_range(key, "airspeed_m_s", self.airspeed_m_s, 0.1, 100.0, "m/s")?;
         if let Some(wind_m_s) = self.wind_20ft_m_s {
-            check::one(key, "wind_20ft_m_s", wind_m_s, 0.0, 100.0, "m/s")?;
+            check::key_in_range(key, "wind_20ft_m_s", wind_m_s, 0.0, 100.0, "m/s")?;
         }
-        check::one(key, "towards_deg", self.towards_deg, -360.0, 360.0, "deg")
+        check::key_in_range(key, "towards_deg", self.towards_deg, -360.0, 360.0, "deg")
     }
 
     fn build(&self, with: &Build) -> VehicleEffect {
@@ -216,7 +216,7 @@ impl Gusts {
 }
 
 impl WindEffect for Gusts {
-    fn velocity(&mut self, at: &Moment) -> Vec3<f64> {
+    fn velocity(&mut self, at: &Snapshot) -> Vec3<f64> {
         let height_ft = (-at.state.position.z / FT_M).clamp(10.0, 1000.0);
         // Nothing of the field changes by more than 1.2 % over 1 % of the height.
         let field = match self.field.take() {

@@ -9,7 +9,7 @@
 use serde::Deserialize;
 
 use super::{CommandEffect, VehicleEffect};
-use crate::effects::{Build, Moment, Recipe};
+use crate::effects::{Build, Recipe, Snapshot};
 use input::InputError;
 use input::check;
 
@@ -25,7 +25,7 @@ impl Recipe for EscDelay {
     type Effect = VehicleEffect;
 
     fn validate(&self, key: &str) -> Result<(), InputError> {
-        check::one(key, "delay_s", self.delay_s, 0.0, 1.0, "s")
+        check::key_in_range(key, "delay_s", self.delay_s, 0.0, 1.0, "s")
     }
 
     fn build(&self, with: &Build) -> VehicleEffect {
@@ -50,7 +50,7 @@ struct Line {
 }
 
 impl CommandEffect for Line {
-    fn apply(&mut self, wanted: &mut [f64; 4], _: &Moment) {
+    fn apply(&mut self, wanted: &mut [f64; 4], _: &Snapshot) {
         let slots = self.past.len();
         let after = |slot: usize| if slot + 1 == slots { 0 } else { slot + 1 };
         self.newest = after(self.newest);

@@ -10,7 +10,7 @@
 use serde::Deserialize;
 
 use super::{CommandEffect, VehicleEffect};
-use crate::effects::{Build, Moment, Recipe};
+use crate::effects::{Build, Recipe, Snapshot};
 use input::InputError;
 use input::check;
 
@@ -26,7 +26,7 @@ impl Recipe for EscQuantization {
     type Effect = VehicleEffect;
 
     fn validate(&self, key: &str) -> Result<(), InputError> {
-        check::one(key, "step_us", self.step_us, 1e-3, 500.0, "µs")
+        check::key_in_range(key, "step_us", self.step_us, 1e-3, 500.0, "µs")
     }
 
     fn build(&self, with: &Build) -> VehicleEffect {
@@ -38,7 +38,7 @@ impl Recipe for EscQuantization {
 struct Stairs(f64);
 
 impl CommandEffect for Stairs {
-    fn apply(&mut self, wanted: &mut [f64; 4], _: &Moment) {
+    fn apply(&mut self, wanted: &mut [f64; 4], _: &Snapshot) {
         for wanted in wanted {
             *wanted = libm::rint(*wanted / self.0) * self.0;
         }

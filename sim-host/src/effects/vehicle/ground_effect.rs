@@ -31,7 +31,7 @@ impl Recipe for GroundEffect {
     type Effect = VehicleEffect;
 
     fn validate(&self, key: &str) -> Result<(), InputError> {
-        check::one(key, "rotor_radius_m", self.rotor_radius_m, 0.005, 5.0, "m")
+        check::key_in_range(key, "rotor_radius_m", self.rotor_radius_m, 0.005, 5.0, "m")
     }
 
     fn build(&self, with: &Build) -> VehicleEffect {

@@ -22,7 +22,7 @@ impl Recipe for LinearDrag {
     type Effect = VehicleEffect;
 
     fn validate(&self, key: &str) -> Result<(), InputError> {
-        check::each(key, "a_kg_per_s", self.a_kg_per_s, 0.0, 1e3, "kg/s")
+        check::keys_in_range(key, "a_kg_per_s", self.a_kg_per_s, 0.0, 1e3, "kg/s")
     }
 
     fn build(&self, _: &Build) -> VehicleEffect {

@@ -44,7 +44,7 @@ pub use rotor_acceleration::RotorAcceleration;
 pub use rotor_drag::RotorDrag;
 pub use rotor_gyroscopic::RotorGyroscopic;
 
-use super::Moment;
+use super::Snapshot;
 use crate::state::State;
 
 /// A point in time inside a step, while the motion is integrated.
@@ -74,7 +74,7 @@ pub struct Load {
 /// Changes what the ESCs ask of the rotors.
 pub trait CommandEffect: Send {
     /// Changes the wanted speeds, rad/s.
-    fn apply(&mut self, wanted: &mut [f64; 4], at: &Moment);
+    fn apply(&mut self, wanted: &mut [f64; 4], at: &Snapshot);
 
     /// Terminal voltage of the battery that this effect is, V.
     fn battery_v(&self) -> Option<f64> {
@@ -85,7 +85,7 @@ pub trait CommandEffect: Send {
 /// Moves the air.
 pub trait WindEffect: Send {
     /// Velocity of the air for the coming step, m/s, north, east, down; effects add up.
-    fn velocity(&mut self, at: &Moment) -> Vec3<f64>;
+    fn velocity(&mut self, at: &Snapshot) -> Vec3<f64>;
 }
 
 /// Changes the thrust of the rotors.

@@ -8,7 +8,7 @@
 use serde::Deserialize;
 
 use super::{CommandEffect, VehicleEffect};
-use crate::effects::{Build, Moment, Recipe};
+use crate::effects::{Build, Recipe, Snapshot};
 use input::InputError;
 use input::check;
 
@@ -36,8 +36,8 @@ impl Recipe for MotorFailure {
             .field(format!("{key}.rotor"))
             .value(self.rotor));
         }
-        check::one(key, "at_s", self.at_s, 0.0, 1e6, "s")?;
-        check::one(key, "limit", self.limit, 0.0, 1.0, "of full speed")
+        check::key_in_range(key, "at_s", self.at_s, 0.0, 1e6, "s")?;
+        check::key_in_range(key, "limit", self.limit, 0.0, 1.0, "of full speed")
     }
 
     fn build(&self, with: &Build) -> VehicleEffect {
@@ -57,7 +57,7 @@ struct Failure {
 }
 
 impl CommandEffect for Failure {
-    fn apply(&mut self, wanted: &mut [f64; 4], at: &Moment) {
+    fn apply(&mut self, wanted: &mut [f64; 4], at: &Snapshot) {
         if at.time_s > self.after_s {
             let wanted = &mut wanted[self.rotor];
             *wanted = wanted.min(self.limit_rad_s);

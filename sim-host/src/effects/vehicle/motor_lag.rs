@@ -25,8 +25,8 @@ impl Recipe for MotorLag {
     type Effect = VehicleEffect;
 
     fn validate(&self, key: &str) -> Result<(), InputError> {
-        check::one(key, "tau_s", self.tau_s, 1e-5, 10.0, "s")?;
-        self.tau_down_s.map_or(Ok(()), |tau_s| check::one(key, "tau_down_s", tau_s, 1e-5, 10.0, "s"))
+        check::key_in_range(key, "tau_s", self.tau_s, 1e-5, 10.0, "s")?;
+        self.tau_down_s.map_or(Ok(()), |tau_s| check::key_in_range(key, "tau_down_s", tau_s, 1e-5, 10.0, "s"))
     }
 
     fn build(&self, with: &Build) -> VehicleEffect {

@@ -34,8 +34,8 @@ impl Recipe for QuadraticDrag {
     type Effect = VehicleEffect;
 
     fn validate(&self, key: &str) -> Result<(), InputError> {
-        check::each(key, "cd_area_m2", self.cd_area_m2, 0.0, 100.0, "m²")?;
-        check::one(key, "air_density_kg_m3", self.air_density_kg_m3, 0.0, 10.0, "kg/m³")
+        check::keys_in_range(key, "cd_area_m2", self.cd_area_m2, 0.0, 100.0, "m²")?;
+        check::key_in_range(key, "air_density_kg_m3", self.air_density_kg_m3, 0.0, 10.0, "kg/m³")
     }
 
     fn build(&self, _: &Build) -> VehicleEffect {

@@ -32,7 +32,7 @@ impl Recipe for RotorDrag {
     type Effect = VehicleEffect;
 
     fn validate(&self, key: &str) -> Result<(), InputError> {
-        check::one(key, "k_kg_per_rad", self.k_kg_per_rad, 0.0, 1.0, "kg/rad")
+        check::key_in_range(key, "k_kg_per_rad", self.k_kg_per_rad, 0.0, 1.0, "kg/rad")
     }
 
     fn build(&self, _: &Build) -> VehicleEffect {

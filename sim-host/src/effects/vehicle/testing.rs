@@ -3,7 +3,7 @@
 use flight_core::geometry::{Quaternion, Vec3, vec3};
 
 use super::{BodyEffect as _, CommandEffect, Load, Stage, VehicleEffect, WindEffect};
-use crate::effects::{Build, Moment, Recipe};
+use crate::effects::{Build, Recipe, Snapshot};
 use crate::state::State;
 use ::vehicle::{GRAVITY, VehicleParams};
 
@@ -38,8 +38,8 @@ pub fn wind(recipe: &impl Recipe<Effect = VehicleEffect>, seed: u64) -> Box<dyn 
 }
 
 /// A moment in this state, unaccelerated.
-pub fn moment(state: &State, time_s: f64, rotors: [f64; 4]) -> Moment<'_> {
-    Moment {
+pub fn moment(state: &State, time_s: f64, rotors: [f64; 4]) -> Snapshot<'_> {
+    Snapshot {
         time_s,
         state,
         specific_force: state.attitude.conjugate().rotate(vec3(0.0, 0.0, -GRAVITY)),

@@ -93,7 +93,7 @@ fn measure() -> Vec<(String, Figure)> {
     let mut figures = Vec::new();
     for (name, mean, _) in counts(&output) {
         let Some(&start) = codes.get(name.as_str()) else {
-            // The gauge reads a thousand instructions as a thousand.
+            // The counter reads a thousand instructions as a thousand.
             assert_eq!((name.as_str(), mean), ("1000 nops", 1_000.0));
             continue;
         };

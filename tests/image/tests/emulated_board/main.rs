@@ -111,7 +111,7 @@ fn every_estimator_equals_the_host_and_the_chain_stays_within_its_instructions()
         .map(|(name, preset)| (name.to_owned(), fixed_input::attitudes_digest(&preset).unwrap()));
     assert_eq!(digests, BTreeMap::from(host));
 
-    // The gauge reads a thousand instructions as a thousand.
+    // The counter reads a thousand instructions as a thousand.
     assert_eq!(counts["1000 nops"], (1_024, 1_000.0, 1_000));
     // No number is slower than another one.
     let (_, mean, most) = counts["8 biquads down a tail"];

@@ -129,7 +129,7 @@ impl Step {
 /// How deep calls may be nested on the way to the acknowledgement.
 const DEEPEST: usize = 24;
 /// More places than this are not looked at: the handlers acknowledge within some dozens of instructions.
-const MOST_PLACES: usize = 1_000_000;
+const MAX_PLACES: usize = 1_000_000;
 
 /// What a path has done so far.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -275,7 +275,7 @@ impl Search<'_> {
             Some((Err(why), _)) => return Err((*why).into()),
             None => return Err("a path leaves the function's instructions".into()),
         };
-        if self.places.len() >= MOST_PLACES {
+        if self.places.len() >= MAX_PLACES {
             return Err("too many paths".into());
         }
         let here = self.places.len();

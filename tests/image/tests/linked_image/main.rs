@@ -53,14 +53,14 @@ use image_tests::function::{self, Callee, Function};
 use image_tests::image::Image;
 use image_tests::program::{Depth, Program};
 
-/// The handlers between a sample and the motors' pulses: the flight task, and what wakes it.
+/// The handlers between a sample and the motors' pulses: the control loop, and what wakes it.
 const FAST_LOOP: [&str; 3] = ["DMA2_STREAM0", "EXTI4", "TIM5"];
 
 /// The RTIC priority of each handler. Tasks: `#[task]` in `firmware/src/main.rs`; asynchronous tasks run in
 /// the vector of the dispatcher of their priority, of which the lowest comes first in `dispatchers`. The
-/// board's own interrupts: `SENSE_PRIORITY` in `firmware/src/board/mod.rs`.
+/// board's own interrupts: `SAMPLING_PRIORITY` in `firmware/src/board/mod.rs`.
 const HANDLERS: [(&str, u8); 10] = [
-    ("CRYP", 1),         // compass
+    ("CRYP", 1),         // magnetometer
     ("DCMI", 2),         // imu, health, announce
     ("HASH_RNG", 3),     // supply
     ("SysTick", 4),      // tick
@@ -102,9 +102,9 @@ fn no_panic_can_be_reached_from_the_fast_loop() {
         for root in FAST_LOOP {
             check_free_of_panics(image, &program, root).unwrap_or_else(|why| panic!("log {log}: {why}"));
         }
-        // The largest part of the flight task is there, so the search did not end early.
+        // The largest part of the control loop is there, so the search did not end early.
         let (functions, instructions) = extent(image, &program, image.find(FAST_LOOP[0]).unwrap());
-        assert!(instructions > 1_500, "log {log}: {instructions} instructions in the flight task");
+        assert!(instructions > 1_500, "log {log}: {instructions} instructions in the control loop");
         println!(
             "log {log}: no panic in {functions} functions, {instructions} instructions of {}",
             FAST_LOOP[0]

@@ -34,7 +34,7 @@ use tasks::{PERIOD_US, sampling};
 
 use super::chip::{end, instructions};
 use super::{CAME, now_us, play, sample_to_motors, sent, set_now, wake_flight};
-use crate::interrupts::listen;
+use crate::interrupts::enable;
 use crate::step::Step;
 
 #[cfg_attr(all(feature = "qemu", not(feature = "hil-usart")), path = "semihosting.rs")]
@@ -134,7 +134,7 @@ pub fn begin(nvic: &mut NVIC) -> bool {
         LINK.borrow(cs).replace(Some(link));
     });
     receive();
-    listen(nvic, TURN, TURN_PRIORITY);
+    enable(nvic, TURN, TURN_PRIORITY);
     NVIC::pend(TURN);
     watchdog_reset
 }
@@ -148,7 +148,7 @@ pub fn config() -> Config {
 }
 
 /// The interrupt in which the world turns: one that the chip's floating-point unit raises only if it is asked to, and
-/// nobody does. Of all that have its priority, `compass` among them, it has the highest number, and so comes last.
+/// nobody does. Of all that have its priority, `magnetometer` among them, it has the highest number, and so comes last.
 const TURN: Interrupt = Interrupt::FPU;
 const TURN_PRIORITY: u8 = 1;
 
@@ -222,9 +222,9 @@ fn for_the_tasks(
 
 /// The pilot's frames.
 #[derive(Default)]
-pub struct Radio(());
+pub struct RcReceiver(());
 
-impl Radio {
+impl RcReceiver {
     /// The frame, if one has come.
     pub fn poll(&mut self) -> Option<RcFrame> {
         free(|cs| RC.borrow(cs).take())
@@ -233,9 +233,9 @@ impl Radio {
 
 /// The battery.
 #[derive(Default)]
-pub struct Supply(());
+pub struct BatteryAdc(());
 
-impl Supply {
+impl BatteryAdc {
     /// The reading, if one has come.
     pub fn measure(&mut self) -> Option<Battery> {
         free(|cs| BATTERY.borrow(cs).take())
@@ -244,9 +244,9 @@ impl Supply {
 
 /// The magnetometer.
 #[derive(Default)]
-pub struct Compass(());
+pub struct Magnetometer(());
 
-impl Compass {
+impl Magnetometer {
     /// The sample, if one has come.
     pub fn run(&mut self) -> Option<MagSample> {
         free(|cs| MAG.borrow(cs).take())

@@ -9,19 +9,19 @@ use embedded_hal::delay::DelayNs;
 use embedded_hal::i2c::I2c;
 use flight_core::sample::MagSample;
 
-use tasks::tally::TALLY;
+use tasks::counters::COUNTERS;
 
 /// Runs from one attempt to find the sensor to the next: a second.
 const RETRY_RUNS: u32 = 200;
 
 /// The magnetometer on its bus.
-pub struct Compass<B> {
+pub struct Magnetometer<B> {
     bus: B,
     sensor: Option<Qmc5883l<B>>,
     runs_to_retry: u32,
 }
 
-impl<B: I2c + Clone> Compass<B> {
+impl<B: I2c + Clone> Magnetometer<B> {
     /// Not looked for yet.
     pub fn new(bus: B) -> Self {
         Self { bus, sensor: None, runs_to_retry: 0 }
@@ -36,21 +36,21 @@ impl<B: I2c + Clone> Compass<B> {
         match sensor.sample() {
             Ok(sample) => {
                 if sample.is_some() {
-                    TALLY.mag.add();
+                    COUNTERS.mag.add();
                 }
                 sample
             }
             Err(SampleError::Skipped(sample)) => {
-                TALLY.mag.add();
+                COUNTERS.mag.add();
                 Some(sample)
             }
             // The field is beyond the range: the sensor is well.
             Err(SampleError::Overflow) => {
-                TALLY.mag_errors.add();
+                COUNTERS.mag_errors.add();
                 None
             }
             Err(SampleError::Bus(_) | SampleError::SettingLost) => {
-                TALLY.mag_errors.add();
+                COUNTERS.mag_errors.add();
                 defmt::warn!("magnetometer lost");
                 self.sensor = None;
                 None

@@ -29,22 +29,22 @@ pub fn exit() -> ! {
 }
 
 /// The counter of instructions.
-pub struct Gauge {
+pub struct InstructionCounter {
     timer: TIM2,
     /// Instructions that a measurement of nothing reads.
     overhead: u32,
 }
 
-impl Gauge {
+impl InstructionCounter {
     /// Lets TIM2 count nanoseconds, and calibrates the count.
     pub fn start() -> Self {
         let Peripherals { TIM2: timer, .. } = Peripherals::take().expect("taken once");
         timer.psc().write(|w| w.psc().set(0));
         // Its period stays 0, with which the emulator's timer never ends one.
         timer.cr1().write(|w| w.cen().set_bit());
-        let mut gauge = Self { timer, overhead: 0 };
-        gauge.calibrate();
-        gauge
+        let mut counter = Self { timer, overhead: 0 };
+        counter.calibrate();
+        counter
     }
 
     /// Instructions that `work` takes.

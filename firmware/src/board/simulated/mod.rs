@@ -20,7 +20,7 @@
 //! # What a step costs
 //! From the entry of the interrupt that brings a sample to the last compare value of the motors, instructions are
 //! counted on the emulator: TIM4 counts 250 MHz there, and with `-icount shift=2` an instruction takes 4 ns. In that
-//! are the flight task's entry, its locks, the decoding of the frame, the flight controller with arming and failsafe,
+//! are the control loop's entry, its locks, the decoding of the frame, the flight controller with arming and failsafe,
 //! and the pulses' conversion. Not in it is what only the flight board does: starting the burst, looking at its end,
 //! and waiting for room in the timers' period if there is none.
 
@@ -36,7 +36,7 @@ use stm32f4xx_hal::rcc::{Enable, Reset};
 use tasks::sampling::{self, BurstBus, FrameBuffer, Next, Signal};
 
 use super::{Board, stop};
-use crate::interrupts::WAKE_FLIGHT;
+use crate::interrupts::WAKE_CONTROL_LOOP;
 use crate::stm32f405::dma::Stream;
 use crate::stm32f405::esc::{self, Lines, Pad, Timer};
 
@@ -48,7 +48,7 @@ mod chip;
 mod source;
 
 pub use chip::{NAME, halt};
-pub use source::{Compass, Monitor, Radio, Supply, Watchdog};
+pub use source::{BatteryAdc, Magnetometer, Monitor, RcReceiver, Watchdog};
 
 /// Two timers, as most flight boards have them; no pin is connected to them.
 const TIMERS: [Timer; 2] = [
@@ -106,7 +106,7 @@ unsafe fn reset_motor_timers() {
 /// Wakes `flight`: software alone plays the burst.
 fn wake_flight(next: Next) {
     match next {
-        Next::Burst | Next::Flight => NVIC::pend(WAKE_FLIGHT),
+        Next::Burst | Next::Flight => NVIC::pend(WAKE_CONTROL_LOOP),
         Next::Stop => stop(),
     }
 }
@@ -129,9 +129,9 @@ pub fn init(mut core: cortex_m::Peripherals, device: pac::Peripherals) -> Board 
         imu: Imu,
         outputs: Outputs(()),
         monitor: Monitor::default(),
-        radio: Radio::default(),
-        supply: Supply::default(),
-        compass: Compass::default(),
+        receiver: RcReceiver::default(),
+        battery_adc: BatteryAdc::default(),
+        magnetometer: Magnetometer::default(),
         watchdog: Watchdog,
         reset_by: if watchdog_reset { "watchdog" } else { "power" },
         watchdog_reset,
@@ -152,7 +152,7 @@ fn set_now(us: u32) {
 }
 
 fn tim3() -> &'static pac::tim3::RegisterBlock {
-    // SAFETY: the flight task, which also writes to it, does not run while anybody here does.
+    // SAFETY: the control loop, which also writes to it, does not run while anybody here does.
     unsafe { &*TIM3::ptr() }
 }
 

@@ -4,20 +4,20 @@ use flight_core::rc::ChannelMap;
 use flight_core::sample::RcFrame;
 use receiver::search::Search;
 use tasks::clock::Clock;
-use tasks::tally::TALLY;
+use tasks::counters::COUNTERS;
 
 use crate::stm32f405::deadline::now_us;
-use crate::stm32f405::port::{Port, Wired};
+use crate::stm32f405::port::{HasWiring, Port};
 
 /// The receiver at its port.
-pub struct Radio<W> {
+pub struct RcReceiver<W> {
     port: Port<W>,
     search: Search,
     clock: Clock,
     damaged: u32,
 }
 
-impl<W: Wired> Radio<W> {
+impl<W: HasWiring> RcReceiver<W> {
     /// A port that has been opened for [`Search::FIRST`].
     pub fn new(port: Port<W>, channels: ChannelMap) -> Self {
         Self { port, search: Search::new(channels), clock: Clock::new(), damaged: 0 }
@@ -35,12 +35,12 @@ impl<W: Wired> Radio<W> {
                 defmt::info!("receiver found: {=str}", protocol.name());
             }
             if frame.is_some() {
-                TALLY.rc.add();
+                COUNTERS.rc.add();
                 return frame;
             }
         }
         let damaged = self.search.damaged();
-        TALLY.rc_bad.add_all(damaged.saturating_sub(self.damaged));
+        COUNTERS.rc_bad.add_n(damaged.saturating_sub(self.damaged));
         self.damaged = damaged;
         if let Some(line) = self.search.next_line(now_us) {
             self.port.set(line);

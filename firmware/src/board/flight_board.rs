@@ -22,13 +22,13 @@ use stm32f4xx_hal::rcc::{self, Enable};
 use stm32f4xx_hal::spi::Spi;
 use stored_config::board::{Refused, read_for_board};
 use stored_config::{DecodeError, MAX_RECORD};
+use tasks::counters::COUNTERS;
 use tasks::sampling::{self, Next};
-use tasks::tally::TALLY;
 use tasks::{OVERDUE_US, PERIOD_US};
 
 use super::{Board, stop};
-use crate::interrupts::{SENSE_PRIORITY, WAKE_FLIGHT, listen};
-use crate::light::Light;
+use crate::interrupts::{SAMPLING_PRIORITY, WAKE_CONTROL_LOOP, enable};
+use crate::led::Led;
 use crate::stm32f405::burst::{self, ImuBus, ImuSpi};
 use crate::stm32f405::bus::{self, Bus};
 use crate::stm32f405::esc::{Lines, Sent};
@@ -37,10 +37,10 @@ use crate::stm32f405::power::{self, Failure};
 use crate::stm32f405::reset::Cause;
 use crate::stm32f405::{deadline, esc};
 
-pub use crate::light::Light as Monitor;
+pub use crate::led::Led as Monitor;
+pub use crate::stm32f405::battery_adc::BatteryAdc;
 pub use crate::stm32f405::deadline::{Wait, now_us};
 pub use crate::stm32f405::reset::Watchdog;
-pub use crate::stm32f405::supply::Supply;
 
 /// What the build has made of the board's file.
 mod wiring {
@@ -86,15 +86,15 @@ pub const NAME: &str = wiring::TITLE;
 /// The wiring, for those that are told by a type.
 pub struct OnBoard;
 
-impl burst::Wired for OnBoard {
+impl burst::HasWiring for OnBoard {
     const IMU: burst::Wiring = wiring::IMU;
 }
 
-impl bus::Wired for OnBoard {
-    const COMPASS: bus::Wiring = wiring::COMPASS;
+impl bus::HasWiring for OnBoard {
+    const MAGNETOMETER: bus::Wiring = wiring::MAGNETOMETER;
 }
 
-impl port::Wired for OnBoard {
+impl port::HasWiring for OnBoard {
     const RECEIVER: port::Wiring = wiring::RECEIVER;
 }
 
@@ -198,8 +198,8 @@ pub fn init(mut core: cortex_m::Peripherals, device: pac::Peripherals) -> Board 
     parts.dbgmcu.apb1_fz().modify(|_, w| w.dbg_iwdg_stop().set_bit());
     parts.dbgmcu.cr().modify(|_, w| w.dbg_sleep().set_bit());
 
-    let light = parts.light.map(|pin| pin.into_push_pull_output_in_state(!wiring::LIT).erase());
-    let light = Light::new(light, wiring::LIT);
+    let led = parts.led.map(|pin| pin.into_push_pull_output_in_state(!wiring::LED_ON).erase());
+    let led = Led::new(led, wiring::LED_ON);
     deadline::start(parts.tim5, &mut rcc);
 
     if let Some(failure) = Failure::take() {
@@ -232,30 +232,35 @@ pub fn init(mut core: cortex_m::Peripherals, device: pac::Peripherals) -> Board 
     let (apb1, apb2) = (rcc.clocks.pclk1().raw(), rcc.clocks.pclk2().raw());
     let port = Port::open(bytes, Search::FIRST.line(), [apb1, apb2]);
     let config = config();
-    let radio = Radio::new(port, config.params.channels);
+    let receiver = RcReceiver::new(port, config.params.channels);
 
     parts.battery.into_analog();
-    let supply =
-        Supply::new(parts.adc1, &parts.adc_common, wiring::BATTERY_CHANNEL, wiring::BATTERY_RATIO, &mut rcc);
-    wiring::connect_compass(parts.compass_scl, parts.compass_sda, &mut rcc);
-    let compass = Compass(crate::compass::Compass::new(Bus::new(apb1 / 1_000_000)));
+    let battery_adc = BatteryAdc::new(
+        parts.adc1,
+        &parts.adc_common,
+        wiring::BATTERY_CHANNEL,
+        wiring::BATTERY_RATIO,
+        &mut rcc,
+    );
+    wiring::connect_magnetometer(parts.magnetometer_scl, parts.magnetometer_sda, &mut rcc);
+    let magnetometer = Magnetometer(crate::magnetometer::Magnetometer::new(Bus::new(apb1 / 1_000_000)));
 
     let mut exti = parts.exti;
     power::watch_supply(&exti);
-    listen(&mut core.NVIC, Interrupt::PVD, power::DETECTOR_PRIORITY);
+    enable(&mut core.NVIC, Interrupt::PVD, power::DETECTOR_PRIORITY);
     // It may have fallen before the line was watched.
     if power::supply_is_low(&parts.pwr) {
         stop_for(Failure::Supply);
     }
-    listen(&mut core.NVIC, wiring::RECEIVER_INTERRUPT, SENSE_PRIORITY);
+    enable(&mut core.NVIC, wiring::RECEIVER_INTERRUPT, SAMPLING_PRIORITY);
     let mut data_ready = parts.imu_ready.into_pull_down_input();
     data_ready.make_interrupt_source(&mut parts.syscfg.constrain(&mut rcc));
     data_ready.trigger_on_edge(&mut exti, Edge::Rising);
     data_ready.enable_interrupt(&mut exti);
-    listen(&mut core.NVIC, wiring::READY_INTERRUPT, SENSE_PRIORITY);
+    enable(&mut core.NVIC, wiring::READY_INTERRUPT, SAMPLING_PRIORITY);
     deadline::expect_sample_by(now_us().wrapping_add(OVERDUE_US));
     deadline::raise_interrupt();
-    listen(&mut core.NVIC, Interrupt::TIM5, SENSE_PRIORITY);
+    enable(&mut core.NVIC, Interrupt::TIM5, SAMPLING_PRIORITY);
 
     core.SYST.set_clock_source(SystClkSource::Core);
     core.SYST.set_reload(rcc.clocks.sysclk().raw() / (1_000_000 / PERIOD_US) - 1);
@@ -268,10 +273,10 @@ pub fn init(mut core: cortex_m::Peripherals, device: pac::Peripherals) -> Board 
         sampler,
         imu,
         outputs: Outputs(()),
-        monitor: light,
-        radio,
-        supply,
-        compass,
+        monitor: led,
+        receiver,
+        battery_adc,
+        magnetometer,
         watchdog,
         reset_by: reset.name(),
         watchdog_reset: reset == Cause::Watchdog,
@@ -304,7 +309,7 @@ fn TIM5() {
 fn go_on(next: Next) {
     match next {
         Next::Burst => wiring::IMU.start(),
-        Next::Flight => NVIC::pend(WAKE_FLIGHT),
+        Next::Flight => NVIC::pend(WAKE_CONTROL_LOOP),
         Next::Stop => stop(),
     }
 }
@@ -316,12 +321,12 @@ pub type Sampler = sampling::Sampler<ImuBus<OnBoard>>;
 pub type Imu = crate::imu::Imu<OnBoard>;
 
 /// The receiver.
-pub type Radio = crate::radio::Radio<OnBoard>;
+pub type RcReceiver = crate::rc_receiver::RcReceiver<OnBoard>;
 
 /// The magnetometer.
-pub struct Compass(crate::compass::Compass<Bus<OnBoard>>);
+pub struct Magnetometer(crate::magnetometer::Magnetometer<Bus<OnBoard>>);
 
-impl Compass {
+impl Magnetometer {
     /// The new sample, if there is one.
     pub fn run(&mut self) -> Option<MagSample> {
         bus::begin_run();
@@ -351,8 +356,8 @@ impl Outputs {
 fn send(pulses_us: [f32; 4]) {
     match LINES.send(wiring::ROTORS.map(|rotor| pulses_us[rotor])) {
         Sent::Whole => {}
-        Sent::Dropped => TALLY.outputs_dropped.add(),
-        Sent::Recovered => TALLY.outputs_recovered.add(),
+        Sent::Dropped => COUNTERS.outputs_dropped.add(),
+        Sent::Recovered => COUNTERS.outputs_recovered.add(),
     }
 }
 

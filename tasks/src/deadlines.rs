@@ -1,33 +1,33 @@
-//! Who is on time: the roll of the tasks that a flight needs, and the deadlines that were missed.
+//! Who is on time: the check-ins of the tasks that a flight needs, and the deadlines that were missed.
 //!
-//! | | on the roll: without it the watchdog is not fed | counts for arming | logged |
+//! | | on the check-ins: without it the watchdog is not fed | counts for arming | logged |
 //! |---|---|---|---|
-//! | `flight`, `tick`, `supply` | yes | yes | yes |
+//! | `control_loop`, `tick`, `battery` | yes | yes | yes |
 //! | the data-ready line | no | yes | yes |
-//! | `compass`, `health` | no | no | yes |
+//! | `magnetometer`, `health` | no | no | yes |
 //!
-//! A flight goes on without a compass and without a log. One that is late must not end it; and one that hangs must not
+//! A flight goes on without a magnetometer and without a log. One that is late must not end it; and one that hangs must not
 //! make arming impossible for ever: it is shown in the log, and in the health line's count.
 
 use core::sync::atomic::{AtomicU32, Ordering};
 
-use flight_core::watchdog::{Deadline, Late, Roll};
+use flight_core::watchdog::{CheckIns, Deadline, LateTasks};
 
 use crate::clock::Clock;
-use crate::tally::TALLY;
+use crate::counters::COUNTERS;
 use crate::{OVERDUE_US, PERIOD_US};
 
 /// The periodic tasks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Task {
-    /// `flight`.
-    Flight,
+    /// `control_loop`.
+    Control,
     /// `tick`.
     Tick,
-    /// `supply`.
-    Supply,
-    /// `compass`.
-    Compass,
+    /// `battery`.
+    Battery,
+    /// `magnetometer`.
+    Magnetometer,
     /// `health`.
     Health,
     /// No task: the inertial sensor's data-ready line.
@@ -38,18 +38,18 @@ impl Task {
     /// Whether a flight needs it, so that nobody arms while it is late.
     const fn is_needed(self) -> bool {
         match self {
-            Self::Flight | Self::Tick | Self::Supply | Self::DataReady => true,
-            Self::Compass | Self::Health => false,
+            Self::Control | Self::Tick | Self::Battery | Self::DataReady => true,
+            Self::Magnetometer | Self::Health => false,
         }
     }
 
     /// For people.
     pub const fn name(self) -> &'static str {
         match self {
-            Self::Flight => "flight",
+            Self::Control => "control_loop",
             Self::Tick => "tick",
-            Self::Supply => "supply",
-            Self::Compass => "compass",
+            Self::Battery => "battery",
+            Self::Magnetometer => "magnetometer",
             Self::Health => "health",
             Self::DataReady => "data ready",
         }
@@ -62,13 +62,13 @@ const ALLOWED_AGE_US: [u64; 3] = [
     // A lost sample, and the period of those that stay lost.
     (OVERDUE_US + PERIOD_US) as u64,
     2 * PERIOD_US as u64,
-    2 * (SUPPLY_TICKS * PERIOD_US) as u64,
+    2 * (BATTERY_TICKS * PERIOD_US) as u64,
 ];
 
 /// Ticks (1 ms) from one run to the next.
-pub const COMPASS_TICKS: u32 = 5;
-/// Likewise; also those from one look at the roll to the next, which happens at the supply's turn.
-pub const SUPPLY_TICKS: u32 = 20;
+pub const MAGNETOMETER_TICKS: u32 = 5;
+/// Likewise; also those from one look at the check-ins to the next, which happens at the turn of `battery`.
+pub const BATTERY_TICKS: u32 = 20;
 /// Likewise.
 pub const HEALTH_TICKS: u32 = 1_000;
 
@@ -76,7 +76,7 @@ pub const HEALTH_TICKS: u32 = 1_000;
 const GRACE_US: u64 = 100_000;
 
 /// Deadlines missed since start, of those that count for arming. An atomic, so that a step may read it without a lock;
-/// [`Watch`] writes it.
+/// [`DeadlineMonitor`] writes it.
 static MISSED: AtomicU32 = AtomicU32::new(0);
 
 /// Deadlines missed since start, of those that count for arming.
@@ -85,24 +85,24 @@ pub fn missed() -> u32 {
 }
 
 /// The roll, and who was told of.
-pub struct Watch {
-    roll: Roll<{ ALLOWED_AGE_US.len() }>,
+pub struct DeadlineMonitor {
+    check_ins: CheckIns<{ ALLOWED_AGE_US.len() }>,
     clock: Clock,
     /// Bit n: a miss of task n has been told since the last health line.
-    told: u32,
+    reported: u32,
 }
 
-impl Watch {
+impl DeadlineMonitor {
     /// Nobody has checked in yet; it is `now_us`.
     pub fn new(now_us: u32) -> Self {
         let mut clock = Clock::new();
-        Self { roll: Roll::new(ALLOWED_AGE_US, clock.at(now_us), GRACE_US), clock, told: 0 }
+        Self { check_ins: CheckIns::new(ALLOWED_AGE_US, clock.at(now_us), GRACE_US), clock, reported: 0 }
     }
 
     /// `task` ends a run at `now_us`. Returns whether a person should be told that it was late.
     pub fn check_in(&mut self, task: Task, deadline: Deadline, now_us: u32) -> bool {
         let now_us = self.clock.at(now_us);
-        self.roll.check_in(task as usize, deadline, now_us);
+        self.check_ins.check_in(task as usize, deadline, now_us);
         deadline == Deadline::Missed && self.miss(task)
     }
 
@@ -111,25 +111,25 @@ impl Watch {
         if task.is_needed() {
             MISSED.fetch_add(1, Ordering::Relaxed);
         } else {
-            TALLY.delayed.add();
+            COUNTERS.delayed.add();
         }
         let bit = 1 << task as u32;
-        let tell = self.told & bit == 0;
-        self.told |= bit;
+        let tell = self.reported & bit == 0;
+        self.reported |= bit;
         tell
     }
 
     /// A health line has been written: misses are told again.
     pub fn begin_report(&mut self) {
-        self.told = 0;
+        self.reported = 0;
     }
 
     /// Whether everybody is on time, and if not, who is late.
     ///
     /// # Errors
     /// Somebody is late.
-    pub fn may_feed(&mut self, now_us: u32) -> Result<(), Late> {
+    pub fn may_feed(&mut self, now_us: u32) -> Result<(), LateTasks> {
         let now_us = self.clock.at(now_us);
-        self.roll.may_feed(now_us)
+        self.check_ins.may_feed(now_us)
     }
 }

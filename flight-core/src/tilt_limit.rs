@@ -14,13 +14,13 @@ const LIMIT_US: u32 = 500_000;
 /// The error of the tilt would show it sooner, and wrongly: with both sticks from stop to stop, 120° apart, a vehicle
 /// in order is behind for as long as that.
 #[derive(Clone, Copy, Debug)]
-pub struct UpsetWatch {
+pub struct TiltLimit {
     /// Cosine of the tilt that is too much.
     cos_limit: f32,
     beyond_us: u32,
 }
 
-impl UpsetWatch {
+impl TiltLimit {
     /// For sticks that ask for up to `max_tilt_rad` each.
     pub fn new(max_tilt_rad: f32) -> Self {
         // Roll and pitch of φ are a tilt whose cosine is cos² φ.
@@ -41,7 +41,7 @@ impl UpsetWatch {
 
     /// Whether the vehicle does not follow.
     #[inline(always)]
-    pub fn upset(&self) -> bool {
+    pub fn exceeded(&self) -> bool {
         self.beyond_us > LIMIT_US
     }
 }
@@ -58,7 +58,7 @@ mod tests {
         #[test]
         fn the_limit_is_twenty_degrees_beyond_both_sticks(max_tilt_rad in 0.01..=1.4_f32) {
             let both = f64::from(max_tilt_rad).cos().powi(2).acos();
-            let limit = f64::from(UpsetWatch::new(max_tilt_rad).cos_limit);
+            let limit = f64::from(TiltLimit::new(max_tilt_rad).cos_limit);
             // For small φ the sine √(1 − cos⁴ φ) is about √2 φ, and has ε/(√2 φ) of rounding: 8e-6 at 0.01 rad, and a
             // third of it here.
             prop_assert!((limit - (both + 20.0_f64.to_radians()).cos()).abs() < 4e-6);
@@ -73,14 +73,14 @@ mod tests {
                 prop_oneof![4 => 0..200_000_u32, 2 => Just(250_000), 1 => Just(500_000), 1 => Just(u32::MAX)],
             ), 1..60),
         ) {
-            let mut watch = UpsetWatch::new(FRAC_PI_4);
+            let mut watch = TiltLimit::new(FRAC_PI_4);
             let mut beyond_us = 0_u64;
             for (cos_tilt, dt_us) in past {
                 watch.update(cos_tilt, dt_us);
                 // 45° each are 60°, and 20° more: cos 80°.
                 let Some(cos_tilt) = cos_tilt else {
                     beyond_us = 0;
-                    prop_assert!(!watch.upset());
+                    prop_assert!(!watch.exceeded());
                     continue;
                 };
                 prop_assume!((cos_tilt - 0.173_648_18).abs() > 1e-6);
@@ -89,17 +89,17 @@ mod tests {
                 } else {
                     beyond_us.saturating_sub(u64::from(dt_us / 2))
                 };
-                prop_assert_eq!(watch.upset(), beyond_us > 500_000);
+                prop_assert_eq!(watch.exceeded(), beyond_us > 500_000);
             }
         }
     }
 
     /// When a vehicle with this tilt over time (degrees, s) is found to be upset, s.
     fn found_after(tilt_deg: impl Fn(f32) -> f32) -> Option<f32> {
-        let mut watch = UpsetWatch::new(FRAC_PI_4);
+        let mut watch = TiltLimit::new(FRAC_PI_4);
         (1..=5_000_u16).map(|k| f32::from(k) * 1.0e-3).find(|&t| {
             watch.update(Some(tilt_deg(t).to_radians().cos()), 1_000);
-            watch.upset()
+            watch.exceeded()
         })
     }
 
@@ -118,26 +118,26 @@ mod tests {
 
     #[test]
     fn the_limit_itself_is_not_too_far() {
-        let mut watch = UpsetWatch::new(FRAC_PI_4);
+        let mut watch = TiltLimit::new(FRAC_PI_4);
         watch.update(Some(watch.cos_limit), u32::MAX);
-        assert!(!watch.upset());
+        assert!(!watch.exceeded());
         watch.update(Some(watch.cos_limit.next_down()), u32::MAX);
-        assert!(watch.upset());
+        assert!(watch.exceeded());
     }
 
     #[test]
     fn who_flies_rates_is_not_watched() {
-        let mut watch = UpsetWatch::new(FRAC_PI_4);
+        let mut watch = TiltLimit::new(FRAC_PI_4);
         (0..600).for_each(|_| watch.update(Some(-1.0), 1_000));
-        assert!(watch.upset());
+        assert!(watch.exceeded());
         watch.update(None, 1_000);
-        assert!(!watch.upset());
+        assert!(!watch.exceeded());
     }
 
     #[test]
     fn the_largest_tilt_that_may_be_set_leaves_room_for_its_margin() {
         // 80.2° each are 88.3°.
-        let limit = UpsetWatch::new(1.4).cos_limit.acos().to_degrees();
+        let limit = TiltLimit::new(1.4).cos_limit.acos().to_degrees();
         assert!((limit - 108.3).abs() < 0.1, "{limit}");
     }
 }

@@ -7,25 +7,25 @@ use core::sync::atomic::{AtomicU32, Ordering};
 
 /// A count, or the largest of some values.
 #[derive(Default)]
-pub struct Count(AtomicU32);
+pub struct Counter(AtomicU32);
 
-impl Count {
+impl Counter {
     const fn new() -> Self {
         Self(AtomicU32::new(0))
     }
 
     /// One more.
     pub fn add(&self) {
-        self.add_all(1);
+        self.add_n(1);
     }
 
     /// So many more.
-    pub fn add_all(&self, more: u32) {
+    pub fn add_n(&self, more: u32) {
         self.0.fetch_add(more, Ordering::Relaxed);
     }
 
     /// `value`, if it is the largest so far.
-    pub fn most(&self, value: u32) {
+    pub fn record_max(&self, value: u32) {
         self.0.fetch_max(value, Ordering::Relaxed);
     }
 
@@ -41,54 +41,54 @@ impl Count {
 }
 
 /// All of them.
-pub struct Tally {
+pub struct Counters {
     /// Steps without an inertial sample, because none could be read.
-    pub lost: Count,
+    pub lost: Counter,
     /// Reads without an edge of the data-ready line.
-    pub polled: Count,
+    pub polled: Counter,
     /// Those that came while the one before was still being read or worked on.
-    pub late: Count,
+    pub late: Counter,
     /// Reads that brought the same sample again.
-    pub repeated: Count,
+    pub repeated: Counter,
     /// Those that the sensor itself marked as no measurement.
-    pub invalid: Count,
+    pub invalid: Counter,
     /// Reads that failed on the bus.
-    pub unreadable: Count,
+    pub unreadable: Counter,
     /// Longest time from what woke `flight` to its end, µs.
-    pub longest_us: Count,
+    pub longest_us: Counter,
     /// Steps whose pulses were not sent, because the last ones were on their way.
-    pub outputs_dropped: Count,
+    pub outputs_dropped: Counter,
     /// Pulses that hung or were cut, so that the outputs were set up anew.
-    pub outputs_recovered: Count,
+    pub outputs_recovered: Counter,
     /// Magnetometer samples.
-    pub mag: Count,
+    pub mag: Counter,
     /// Accesses to the magnetometer that failed.
-    pub mag_errors: Count,
+    pub mag_errors: Counter,
     /// Receiver frames.
-    pub rc: Count,
+    pub rc: Counter,
     /// Receiver frames that were damaged.
-    pub rc_bad: Count,
-    /// Runs of `compass` and `health` that were due while the one before was not done.
-    pub delayed: Count,
+    pub rc_bad: Counter,
+    /// Runs of `magnetometer` and `health` that were due while the one before was not done.
+    pub delayed: Counter,
     /// Battery, mV, as last measured.
-    pub battery_mv: Count,
+    pub battery_mv: Counter,
 }
 
 /// The counts.
-pub static TALLY: Tally = Tally {
-    lost: Count::new(),
-    polled: Count::new(),
-    late: Count::new(),
-    repeated: Count::new(),
-    invalid: Count::new(),
-    unreadable: Count::new(),
-    longest_us: Count::new(),
-    outputs_dropped: Count::new(),
-    outputs_recovered: Count::new(),
-    mag: Count::new(),
-    mag_errors: Count::new(),
-    rc: Count::new(),
-    rc_bad: Count::new(),
-    delayed: Count::new(),
-    battery_mv: Count::new(),
+pub static COUNTERS: Counters = Counters {
+    lost: Counter::new(),
+    polled: Counter::new(),
+    late: Counter::new(),
+    repeated: Counter::new(),
+    invalid: Counter::new(),
+    unreadable: Counter::new(),
+    longest_us: Counter::new(),
+    outputs_dropped: Counter::new(),
+    outputs_recovered: Counter::new(),
+    mag: Counter::new(),
+    mag_errors: Counter::new(),
+    rc: Counter::new(),
+    rc_bad: Counter::new(),
+    delayed: Counter::new(),
+    battery_mv: Counter::new(),
 };

@@ -1,4 +1,4 @@
-//! The radio receiver at its serial port: frames as bytes, each at its time.
+//! The receiver receiver at its serial port: frames as bytes, each at its time.
 //!
 //! | | CRSF | SBUS |
 //! |---|---|---|
@@ -113,16 +113,16 @@ fn crc8(bytes: &[u8]) -> u8 {
 
 /// The receiver.
 #[derive(Debug, serde::Serialize, serde::Deserialize)]
-pub struct Radio {
+pub struct RcReceiver {
     /// What it speaks.
     pub protocol: Protocol,
     /// Bytes on their way, and when each begins, ns.
     bytes: VecDeque<(u64, u8)>,
 }
 
-store!(Radio);
+store!(RcReceiver);
 
-impl Radio {
+impl RcReceiver {
     /// A receiver that has said nothing yet.
     pub fn new(protocol: Protocol) -> Self {
         Self { protocol, bytes: VecDeque::new() }
@@ -159,7 +159,7 @@ impl Radio {
     }
 }
 
-impl Peer for Radio {
+impl Peer for RcReceiver {
     fn receive(&mut self, _: u16, _: &mut Timeline<'_, '_>) {}
 
     fn transmit(&mut self, now: VirtualNanos) -> Option<u16> {

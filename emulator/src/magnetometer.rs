@@ -8,7 +8,7 @@ use rigless::time::EventId;
 
 /// The sensor.
 #[derive(Debug, serde::Serialize, serde::Deserialize)]
-pub struct Compass {
+pub struct Magnetometer {
     chip: Qmc5883l,
     /// Off its connector: nothing is acknowledged.
     pub absent: bool,
@@ -18,15 +18,15 @@ pub struct Compass {
     sends_on: bool,
 }
 
-store!(Compass);
+store!(Magnetometer);
 
-impl Default for Compass {
+impl Default for Magnetometer {
     fn default() -> Self {
         Self::new()
     }
 }
 
-impl Compass {
+impl Magnetometer {
     /// A sensor whose supply has just come up.
     pub fn new() -> Self {
         Self { chip: Qmc5883l::new(), absent: false, reading: false, last: false, sends_on: false }
@@ -54,7 +54,7 @@ impl Compass {
     }
 }
 
-impl Peer for Compass {
+impl Peer for Magnetometer {
     fn start(&mut self, address: u8, read: bool, context: &mut Timeline<'_, '_>) -> bool {
         let answers = !self.absent && self.chip.start(address, read, context);
         (self.reading, self.last, self.sends_on) = (answers && read, false, false);

@@ -30,7 +30,7 @@ pub fn start(device: pac::Peripherals) {
     device.DBGMCU.cr().modify(|_, w| w.dbg_sleep().set_bit());
 }
 
-/// Nobody counts them here. `longest` in the log's health line is the flight task's longest run, µs.
+/// Nobody counts them here. `longest` in the log's health line is the control loop's longest run, µs.
 #[inline]
 pub fn instructions() -> u32 {
     0

@@ -2,7 +2,7 @@
 
 use stm32f4xx_hal::pac::{USART6, usart1::RegisterBlock};
 
-use crate::board::unwired::chip::USART6_HZ;
+use crate::board::simulated::chip::USART6_HZ;
 
 /// Bits per second: as `sim-host` has it.
 const BAUD: u32 = 921_600;

@@ -18,13 +18,13 @@ const CALIBRATED_AT_V: f32 = 3.3;
 const PLAUSIBLE: core::ops::RangeInclusive<u16> = 1_300..=2_150;
 
 /// The measurement.
-pub struct Supply {
+pub struct BatteryAdc {
     adc: ADC1,
     /// V at the pin for full scale, times the divider and the reference's calibration.
     scale_v: f32,
 }
 
-impl Supply {
+impl BatteryAdc {
     /// Measures `channel`, behind a divider of `ratio`.
     pub fn new(adc: ADC1, common: &ADC_COMMON, channel: u8, ratio: f32, rcc: &mut Rcc) -> Self {
         ADC1::enable(rcc);

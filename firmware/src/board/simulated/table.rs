@@ -21,13 +21,13 @@ use fixed_input::{STEPS, WORDS_FILE, WORDS_PER_STEP};
 use flight_core::Config;
 use flight_core::sample::{Battery, MagSample, RcFrame};
 use stm32f4xx_hal::pac::{Interrupt, TIM2, interrupt, tim2};
+use tasks::deadlines::{BATTERY_TICKS, MAGNETOMETER_TICKS};
 use tasks::sampling::{self, Next};
-use tasks::watch::{COMPASS_TICKS, SUPPLY_TICKS};
 use tasks::{OVERDUE_US, PERIOD_US};
 
 use super::chip::instructions;
 use super::{CAME, play, sample_to_motors, sent, set_now, wake_flight};
-use crate::interrupts::{SENSE_PRIORITY, WAKE_FLIGHT, listen};
+use crate::interrupts::{SAMPLING_PRIORITY, WAKE_CONTROL_LOOP, enable};
 use crate::step::Step;
 
 /// Time from one tick to the next, µs.
@@ -60,7 +60,7 @@ pub fn begin(nvic: &mut NVIC) -> bool {
     tim2().arr().write(|w| w.arr().set(TICK_US - since_power_up_ns / 1_000));
     tim2().dier().write(|w| w.uie().set_bit());
     tim2().cr1().write(|w| w.cen().set_bit());
-    listen(nvic, Interrupt::TIM2, SENSE_PRIORITY);
+    enable(nvic, Interrupt::TIM2, SAMPLING_PRIORITY);
     // The first tick is the first slot's start. A few microseconds less, so that it is never ahead of the count.
     set_now(0_u32.wrapping_sub(TICK_US - 5));
     prepare(0);
@@ -90,14 +90,14 @@ fn TIM2() {
     let came = instructions();
     tim2().sr().write(|w| w.uif().clear_bit());
     let tick = TICK.fetch_add(1, Ordering::Relaxed);
-    assert!(tick < LAST_TICK, "the flight task fell behind the table");
+    assert!(tick < LAST_TICK, "the control loop fell behind the table");
     let at_us = tick * TICK_US;
     if tick.is_multiple_of(TICKS_PER_PERIOD) {
         if ARRIVES.load(Ordering::Relaxed) {
             CAME.store(came, Ordering::Relaxed);
             SAMPLE_TICK.store(tick, Ordering::Relaxed);
             assert!(sampling::ready(at_us, false) == Next::Burst, "the last sample has not been taken");
-            NVIC::pend(WAKE_FLIGHT);
+            NVIC::pend(WAKE_CONTROL_LOOP);
         }
         return;
     }
@@ -110,12 +110,12 @@ fn TIM2() {
 
 /// The table's frames of the pilot.
 #[derive(Default)]
-pub struct Radio {
+pub struct RcReceiver {
     slot: u32,
     given: bool,
 }
 
-impl Radio {
+impl RcReceiver {
     /// The slot's frame, if it has one, and then nothing.
     pub fn poll(&mut self) -> Option<RcFrame> {
         if !self.given {
@@ -133,30 +133,30 @@ impl Radio {
 
 /// The table's battery.
 #[derive(Default)]
-pub struct Supply {
+pub struct BatteryAdc {
     slot: u32,
 }
 
-impl Supply {
+impl BatteryAdc {
     /// The slot's reading, if it has one.
     pub fn measure(&mut self) -> Option<Battery> {
         let slot = self.slot;
-        self.slot += SUPPLY_TICKS;
+        self.slot += BATTERY_TICKS;
         fixed_input::input(slot).battery
     }
 }
 
 /// The table's magnetometer.
 #[derive(Default)]
-pub struct Compass {
+pub struct Magnetometer {
     slot: u32,
 }
 
-impl Compass {
+impl Magnetometer {
     /// The slot's sample, if it has one.
     pub fn run(&mut self) -> Option<MagSample> {
         let slot = self.slot;
-        self.slot += COMPASS_TICKS;
+        self.slot += MAGNETOMETER_TICKS;
         fixed_input::input(slot).mag
     }
 }

@@ -10,7 +10,7 @@ use flight_core::sample::LinkStatus;
 use flight_core::{ArmState, Config, FlightController, Input};
 
 /// A flight controller under watch.
-pub struct Watched {
+pub struct CheckedController {
     controller: FlightController,
     config: Config,
     last: Last,
@@ -32,7 +32,7 @@ struct Last {
     battery: Option<(u64, f32)>,
 }
 
-impl Watched {
+impl CheckedController {
     /// `None` if the configuration is refused.
     pub fn new(config: &Config) -> Option<Self> {
         let controller = FlightController::new(config).ok()?;

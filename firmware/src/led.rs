@@ -1,6 +1,6 @@
-//! What the board's light says.
+//! What the board's LED says.
 //!
-//! | light | meaning |
+//! | LED | meaning |
 //! |---|---|
 //! | fast blink (5 Hz) | no inertial samples |
 //! | lit | the motors turn, or may |
@@ -12,17 +12,17 @@ use stm32f4xx_hal::gpio::{AnyPin, Output, PinState};
 
 use crate::step::Step;
 
-/// The light, if the board has one.
-pub struct Light {
+/// The LED, if the board has one.
+pub struct Led {
     pin: Option<AnyPin<Output>>,
-    lit: PinState,
+    on_level: PinState,
     steps: u32,
 }
 
-impl Light {
-    /// A light that is lit by the level `lit`.
-    pub fn new(pin: Option<AnyPin<Output>>, lit: PinState) -> Self {
-        Self { pin, lit, steps: 0 }
+impl Led {
+    /// A LED that is lit by the level `on_level`.
+    pub fn new(pin: Option<AnyPin<Output>>, on_level: PinState) -> Self {
+        Self { pin, on_level, steps: 0 }
     }
 
     /// Shows a step.
@@ -37,7 +37,7 @@ impl Light {
             step.state.flies() || self.steps % 1_000 < 50
         };
         if let Some(pin) = &mut self.pin {
-            pin.set_state(if lit { self.lit } else { !self.lit });
+            pin.set_state(if lit { self.on_level } else { !self.on_level });
         }
     }
 }
