@@ -1,1 +1,1 @@
-//! What the tests have in common: nothing but their dependencies.
+//! Empty: the integration tests in `tests/` share only this package's dependencies.

@@ -1,32 +1,32 @@
-//! How far the true deviation may be from the estimated one.
+//! Confidence bounds of the estimated deviations.
 //!
-//! A variance estimated from a record is distributed like χ² with so many *equivalent degrees of freedom*,
-//! edf, which depends on statistic, τ, length and power law. The edf of all statistics but the total one is
-//! that of C. A. Greenhall, W. J. Riley, *Uncertainty of stability variances based on finite differences*, 35th
-//! PTTI, 2003: the sum over the correlations between terms where it is short, and the paper's fits (tables 1
-//! to 3) where it is long. The total variance's is b T/τ − c (NIST SP 1065, table 7); for α > 0, where
-//! that table ends, the overlapping variance's is taken, which the total one is no better than.
+//! The distribution of an estimated variance is that of χ² with a number of *equivalent degrees of freedom*, edf, which
+//! depends on statistic, τ, length and power law. The edf of all statistics except the total variance is from C. A.
+//! Greenhall, W. J. Riley, *Uncertainty of stability variances based on finite differences*, 35th PTTI, 2003: a sum over
+//! the correlations between terms if the sum is short, and the paper's fits (tables 1 to 3) if it is long. The edf of the
+//! total variance is b T/τ − c (NIST SP 1065, table 7). That table has no values for α > 0: then the overlapping
+//! variance's edf is used, because the total variance is not better there.
 
 use super::statistic::Statistic;
 
-/// Longest sum over correlations.
+/// Maximum number of lags in a sum over correlations.
 const LONGEST_SUM: f64 = 100.0;
 
-/// What the edf depends on.
+/// The quantities on which the edf depends.
 #[derive(Clone, Copy, Debug)]
 pub struct Estimate {
-    /// The statistic.
+    /// Statistic.
     pub statistic: Statistic,
     /// Exponent of the power law.
     pub alpha: i32,
     /// Averaging factor.
     pub m: usize,
-    /// Number of sums: one more than samples.
+    /// Number of sums, one more than samples.
     pub sums: usize,
 }
 
 impl Estimate {
-    /// Equivalent degrees of freedom.
+    /// Returns the equivalent degrees of freedom.
     pub fn edf(&self) -> f64 {
         if self.statistic == Statistic::Total && self.alpha <= 0 {
             let (b, c) = match self.alpha {
@@ -40,17 +40,17 @@ impl Estimate {
     }
 }
 
-/// Greenhall and Riley's variables.
+/// The variables of Greenhall and Riley's paper.
 struct Differences {
     alpha: i32,
     /// Order of the difference.
     d: i32,
     m: f64,
-    /// Averages in the variance's filter: m, or 1 for the modified one.
+    /// Number of averages in the variance's filter: m, or 1 for the modified variance.
     filter: f64,
-    /// Terms to a τ: m, or 1 without overlap.
+    /// Number of terms in a τ: m, or 1 without overlap.
     stride: f64,
-    /// Terms.
+    /// Number of terms.
     terms: f64,
 }
 
@@ -74,14 +74,14 @@ impl Differences {
         let long = r >= d + 1.0;
         let modified = self.filter == 1.0 && self.stride == self.m && self.m > 1.0;
         if lags <= LONGEST_SUM && (modified || self.alpha != 2) {
-            // With averages as long as this the discrete filter is the continuous one.
+            // For averages of this length the discrete filter equals the continuous one.
             let continuous = !modified && self.alpha <= 0 && self.m * (d + 1.0) > LONGEST_SUM;
             let filter = if continuous { f64::INFINITY } else { self.filter };
             return self.terms / self.correlations(lags, self.terms, self.stride, filter);
         }
         let continuous = if modified { 1.0 } else { f64::INFINITY };
         if self.alpha == 2 && !modified {
-            // White phase: the terms are correlated at whole multiples of τ only.
+            // White phase noise: terms are correlated only at multiples of τ.
             let a0 = if self.d == 2 { 35.0 / 18.0 } else { 231.0 / 100.0 };
             if r > d {
                 return self.terms / (a0 - 0.5 * d / r);
@@ -105,8 +105,9 @@ impl Differences {
         LONGEST_SUM / self.correlations(LONGEST_SUM, LONGEST_SUM, LONGEST_SUM / r, continuous)
     }
 
-    /// White phase in a record shorter than (d + 1) τ, whose terms lack some of their partners: 1 + twice the
-    /// squared correlations at the multiples k τ < r τ, which are binomial, weighted by what is there of them.
+    /// Returns the sum of squared correlations for white phase noise in a short estimator (r ≤ d), in which not all pairs
+    /// of correlated terms exist: 1 + twice the squared correlations at the multiples k τ < r τ, weighted by the share of
+    /// existing pairs. The correlations are binomial coefficients.
     fn few_white_phase(&self, r: f64) -> f64 {
         let row: &[f64] = if self.d == 2 { &[6.0, 4.0, 1.0] } else { &[20.0, 15.0, 6.0, 1.0] };
         let sum: f64 = row
@@ -121,7 +122,7 @@ impl Differences {
         1.0 + sum
     }
 
-    /// Tables 1 (modified) and 2 of the paper.
+    /// Returns the coefficients of tables 1 (modified) and 2 of the paper.
     fn fitted(&self, modified: bool) -> (f64, f64) {
         match (modified, self.d, self.alpha) {
             (true, 2, 2) => (7.0 / 9.0, 0.5),
@@ -147,13 +148,13 @@ impl Differences {
         }
     }
 
-    /// Σ over lags of the squared correlation between terms.
+    /// Returns the sum over lags of the squared correlation between terms.
     fn correlations(&self, lags: f64, terms: f64, stride: f64, filter: f64) -> f64 {
         let own = self.covariance(0.0, filter);
         self.sum(lags, terms, stride, filter) / (own * own)
     }
 
-    /// The same of the squared covariance: eq 10 of the paper.
+    /// Returns the sum over lags of the squared covariance: eq 10 of the paper.
     fn sum(&self, lags: f64, terms: f64, stride: f64, filter: f64) -> f64 {
         let squared = |lag: f64| {
             let c = self.covariance(lag / stride, filter);
@@ -164,7 +165,7 @@ impl Differences {
         squared(0.0) + between + (1.0 - lags / terms) * squared(lags)
     }
 
-    /// Covariance of two d-th differences t τ apart: eq 9.
+    /// Returns the covariance of two d-th differences at a distance of t τ: eq 9.
     fn covariance(&self, t: f64, filter: f64) -> f64 {
         let s = |t: f64| self.averaged(t, filter);
         let pair = |k: f64| s(t - k) + s(t + k);
@@ -174,7 +175,7 @@ impl Differences {
         }
     }
 
-    /// Generalized autocovariance of phase averaged over 1/filter of τ: eq 8.
+    /// Returns the generalized autocovariance of phase averaged over 1/filter of τ: eq 8.
     fn averaged(&self, t: f64, filter: f64) -> f64 {
         if filter == f64::INFINITY {
             return continuous(t, self.alpha + 2);
@@ -185,7 +186,8 @@ impl Differences {
     }
 }
 
-/// Generalized autocovariance of phase with power law α: eq 7. At α + 2 = 3 and 4 the same without averaging.
+/// Returns the generalized autocovariance of phase with power law α: eq 7. Arguments up to 4 (α + 2) are for phase without
+/// averaging.
 fn continuous(t: f64, alpha: i32) -> f64 {
     let t = t.abs();
     if t == 0.0 {
@@ -203,26 +205,26 @@ fn continuous(t: f64, alpha: i32) -> f64 {
     }
 }
 
-/// Between which deviations the true one lies with probability `level`, given the estimated one.
+/// Returns the bounds between which the true deviation lies with probability `level`, for an estimated deviation.
 pub fn bounds(deviation: f64, edf: f64, level: f64) -> (f64, f64) {
     let beyond = 0.5 * (1.0 - level);
     let at = |p: f64| deviation * libm::sqrt(edf / chi_squared_quantile(p, edf));
     (at(1.0 - beyond), at(beyond))
 }
 
-/// 68 %: one standard deviation to either side.
+/// Confidence level of one standard deviation to both sides, 68 %.
 pub const LEVEL: f64 = 0.682_689_492_137_085_9;
 
-/// What χ² with k degrees of freedom stays below with probability p.
+/// Returns the quantile of χ² with k degrees of freedom: the value below which it stays with probability p.
 pub fn chi_squared_quantile(p: f64, k: f64) -> f64 {
-    // Wilson and Hilferty (1931): the cube root of χ²/k is nearly normal. Good to 1e-6 for large k.
+    // Wilson and Hilferty (1931): the cube root of χ²/k is nearly normal. Precise to 1e-6 for large k.
     let c = 2.0 / (9.0 * k);
     let root = 1.0 - c + normal_quantile(p) * libm::sqrt(c);
     let start = k * root * root * root;
     if k > 1e4 {
         return start;
     }
-    // Bisection: the distribution function rises, and 200 halvings are enough for any double.
+    // Bisection, because the distribution function rises.
     let mut low = 0.0;
     let mut high = start.max(k) + 1.0;
     while gamma_p(0.5 * k, 0.5 * high) < p {
@@ -238,7 +240,7 @@ pub fn chi_squared_quantile(p: f64, k: f64) -> f64 {
     0.5 * (low + high)
 }
 
-/// Inverse of the normal distribution function, from that of erfc by Newton's method.
+/// Returns the inverse of the normal distribution function, by Newton's method on erfc.
 fn normal_quantile(p: f64) -> f64 {
     let mut z = 0.0;
     for _ in 0..60 {
@@ -249,8 +251,8 @@ fn normal_quantile(p: f64) -> f64 {
     z
 }
 
-/// Regularized lower incomplete gamma function: its series below a + 1, its continued fraction above
-/// (Abramowitz and Stegun 6.5.29 and 6.5.31, the latter by Lentz's method).
+/// Returns the regularized lower incomplete gamma function: by its series for x below a + 1, else by its continued
+/// fraction (Abramowitz and Stegun 6.5.29 and 6.5.31, the latter by Lentz's method).
 fn gamma_p(a: f64, x: f64) -> f64 {
     if x <= 0.0 {
         return 0.0;

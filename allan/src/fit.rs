@@ -8,44 +8,43 @@
 //! the bias instability, whose plateau is 0.664 B, K the rate random walk, R the rate ramp.
 //!
 //! # Method
-//! The estimates at octave τ are χ² distributed with their edf, so the deviance, −2 ln of the likelihood ratio
-//! to a perfect fit, is Σ edf (s/σ² − 1 − ln s/σ²), and it is minimised by least squares with the weights
-//! edf/2σ⁴ of the model itself (Fisher scoring): weights of the *estimates* would prefer those that came out
-//! low. All 31 choices of terms are fitted, those with a negative square dropped, and of the rest the one taken
-//! with the lowest deviance + `PRICE` a term: a coefficient that the data do not call for is not given. Its
-//! uncertainty is from the Fisher information, and what is not given has an upper bound instead.
+//! The estimates s at octave τ are χ² distributed with their edf. The deviance, −2 ln of the likelihood ratio to a
+//! perfect fit, is therefore Σ edf (s/σ² − 1 − ln s/σ²). It is minimised by least squares with the weights edf/2σ⁴ of
+//! the model (Fisher scoring); weights from the *estimates* would prefer estimates that are too low. All 31 subsets of
+//! terms are fitted, and those with a negative square are dropped. Of the others, the one with the lowest deviance +
+//! `TERM_PENALTY` for each term is chosen, so that only coefficients which the data require are given. Their
+//! uncertainty is from the Fisher information. A coefficient that is not given has an upper bound instead.
 //!
-//! # What a model cannot say
-//! A sum of powers of τ with positive factors is convex on logarithmic axes. A low-pass filter (a sensor's
-//! own, or a prefilter) bends σ the other way at short τ, and converter steps, tones and jitter do what they
-//! like there. So the fit may leave out the shortest τ, each at the same price as a term, and if any had to go
-//! it begins at four times the τ where the model begins to hold, because what a filter takes off N² fades only
-//! as 1/τ. Where the noise is less than half a converter's step the rounding is no noise at all, and
-//! nothing short of the steps is fitted.
+//! # Limits of the model
+//! A sum of powers of τ with positive factors is convex on logarithmic axes. At short τ a low-pass filter (the
+//! sensor's or a prefilter) bends σ the other way, and converter steps, tones and jitter have other shapes. The fit can
+//! therefore leave out the shortest τ, with the same penalty for each as for a term. If it leaves out any, it begins at
+//! four times the τ at which the model begins to hold, because the effect of a filter on N² decreases only as 1/τ. If
+//! the noise is less than half a converter's step, the rounding error is not noise, and nothing is fitted.
 
 use super::confidence::chi_squared_quantile;
 
-/// The coefficients, in the order of their slopes.
+/// The error coefficients, in the order of their slopes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Coefficient {
-    /// Q.
+    /// Quantization of the angle Q.
     Quantization,
-    /// N.
+    /// White noise N.
     WhiteNoise,
-    /// B.
+    /// Bias instability B.
     BiasInstability,
-    /// K.
+    /// Rate random walk K.
     RateRandomWalk,
-    /// R.
+    /// Rate ramp R.
     RateRamp,
 }
 
 impl Coefficient {
-    /// All of them.
+    /// All coefficients.
     pub const ALL: [Self; 5] =
         [Self::Quantization, Self::WhiteNoise, Self::BiasInstability, Self::RateRandomWalk, Self::RateRamp];
 
-    /// Its name in results.
+    /// Returns the name in results.
     pub fn name(self) -> &'static str {
         match self {
             Self::Quantization => "quantization",
@@ -56,7 +55,7 @@ impl Coefficient {
         }
     }
 
-    /// Its letter.
+    /// Returns the letter.
     pub fn letter(self) -> char {
         match self {
             Self::Quantization => 'Q',
@@ -67,10 +66,10 @@ impl Coefficient {
         }
     }
 
-    /// Its unit, for a signal in this unit.
+    /// Returns the unit for a signal with the unit `of`.
     pub fn unit(self, of: &str) -> String {
         match self {
-            // What is per second loses it to the s of Q, and gains a power from that of R.
+            // Q has the unit of the signal times s, R that of the signal divided by s; powers of s are combined.
             Self::Quantization => match of.strip_suffix("/s") {
                 Some(angle) => angle.into(),
                 None => format!("{of}·s").replace("/s²·s", "/s"),
@@ -86,7 +85,7 @@ impl Coefficient {
         }
     }
 
-    /// Allan variance at τ for a coefficient of 1.
+    /// Returns the Allan variance at τ for a coefficient of 1.
     pub fn variance(self, tau_s: f64) -> f64 {
         match self {
             Self::Quantization => 3.0 / (tau_s * tau_s),
@@ -97,7 +96,7 @@ impl Coefficient {
         }
     }
 
-    /// The τ at which its line passes through its own value, where tradition reads it off: √3, 1, 3, √2 s.
+    /// Returns the τ at which the coefficient's line equals the coefficient, where it is read in a graph: √3, 1, 3, √2 s.
     pub fn read_at_s(self) -> Option<f64> {
         match self {
             Self::Quantization => Some(libm::sqrt(3.0)),
@@ -108,12 +107,12 @@ impl Coefficient {
         }
     }
 
-    /// Which part of the axis of τ shows it.
-    fn shown_by(self) -> &'static str {
+    /// Returns the feature of the curve that is missing if the coefficient is not found.
+    fn missing_feature(self) -> &'static str {
         match self {
             Self::Quantization => "no slope of −1 at short τ",
             Self::WhiteNoise => "no slope of −1/2",
-            Self::BiasInstability => "no level stretch",
+            Self::BiasInstability => "no flat part",
             Self::RateRandomWalk => "no slope of +1/2 at long τ",
             Self::RateRamp => "no slope of +1 at long τ",
         }
@@ -123,35 +122,35 @@ impl Coefficient {
 /// An estimate of the overlapping Allan variance.
 #[derive(Clone, Copy, Debug)]
 pub struct Point {
-    /// τ, s.
+    /// Averaging time τ, s.
     pub tau_s: f64,
-    /// The variance.
+    /// Estimated variance.
     pub variance: f64,
     /// Equivalent degrees of freedom.
     pub edf: f64,
 }
 
-/// What the data say of one coefficient.
+/// The result for one coefficient.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Found {
-    /// Its value and standard deviation.
+    /// The data show the coefficient.
     Value {
-        /// The coefficient.
+        /// Value of the coefficient.
         value: f64,
-        /// Its standard deviation.
+        /// Standard deviation of the value.
         uncertainty: f64,
     },
-    /// Nothing but a bound.
+    /// The data do not show the coefficient.
     Hidden {
-        /// Why.
+        /// Reason.
         reason: String,
-        /// With 95 % confidence it is no more than this, if the data bound it.
+        /// Upper bound of the coefficient with 95 % confidence, if the data give one.
         at_most: Option<f64>,
     },
 }
 
 impl Found {
-    /// The value, if there is one.
+    /// Returns the value, if the data show the coefficient.
     pub fn value(&self) -> Option<f64> {
         match self {
             Self::Value { value, .. } => Some(*value),
@@ -160,41 +159,42 @@ impl Found {
     }
 }
 
-/// All coefficients.
+/// The result of a fit.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Fit {
-    /// In the order of [`Coefficient::ALL`].
+    /// Results for the coefficients, in the order of [`Coefficient::ALL`].
     pub found: [Found; 5],
-    /// The τ that were fitted, s; `None` if none could be.
+    /// Shortest and longest fitted τ, s; `None` if nothing was fitted.
     pub range_s: Option<(f64, f64)>,
-    /// Something to know about the fit as a whole.
+    /// Note about the whole fit.
     pub note: Option<String>,
 }
 
-/// What a further term has to improve the deviance by: 5 standard deviations, of which neighbouring τ, that are
-/// not independent, leave about 4.
-const PRICE: f64 = 25.0;
-/// What a term has to amount to somewhere, as a part of the variance. Less than this is within what a
-/// sensor may differ from any model.
-const LEAST_PART: f64 = 0.15;
-/// Relative deviation that a sensor may have from the model without the model being wrong.
+/// Minimum improvement of the deviance by a further term: 5² for 5 standard deviations, or about 4 because
+/// neighbouring τ are not independent.
+const TERM_PENALTY: f64 = 25.0;
+/// Minimum of a term's largest part of the variance. A smaller part is within the difference between a sensor and any
+/// model.
+const MIN_PART: f64 = 0.15;
+/// Relative deviation of a sensor from the model that is accepted.
 const MODEL_ERROR: f64 = 0.01;
-/// Averages over τ that a record has to have for τ to be fitted.
+/// Minimum number of averages over τ in a record for τ to be fitted.
 const AVERAGES: f64 = 8.0;
-/// Fewest points to a fit.
-const LEAST_POINTS: usize = 5;
-/// Neighbouring octaves share samples, which makes their errors alike and a fit to them less certain than the
-/// same number of independent points. Measured on simulated records: see the tests.
+/// Minimum number of points in a fit.
+const MIN_POINTS: usize = 5;
+/// Factor on the uncertainty: neighbouring octaves share samples, so their errors are correlated and a fit is less
+/// certain than with independent points. Measured on simulated records: see the tests.
 const CORRELATION: f64 = 1.3;
 
 /// Squares of the coefficients, 0 for those not in the model.
 type Squares = [f64; 5];
 
+/// Returns the model's variance at τ.
 fn model(squares: &Squares, tau_s: f64) -> f64 {
     Coefficient::ALL.iter().zip(squares).map(|(c, square)| c.variance(tau_s) * square).sum()
 }
 
-/// Degrees of freedom with the model's own error in them.
+/// Returns the degrees of freedom of a point, reduced by the model error.
 fn edf(point: &Point) -> f64 {
     1.0 / (1.0 / point.edf + 2.0 * MODEL_ERROR * MODEL_ERROR)
 }
@@ -208,8 +208,8 @@ fn deviance(points: &[Point], squares: &Squares) -> f64 {
     points.iter().map(|point| deviance_of(point, squares)).sum()
 }
 
-/// The best model of these terms, with the squares of the others held at `fixed`; its information matrix too.
-/// `None` if a square comes out negative or the terms can't be told apart.
+/// Returns the best model with these terms and its information matrix; the squares of the other terms are `fixed`. Returns
+/// `None` if a square is negative or the terms cannot be separated.
 #[expect(clippy::needless_range_loop, reason = "matrices are indexed by row and column")]
 fn best(points: &[Point], terms: &[usize], fixed: &Squares) -> Option<(Squares, [[f64; 5]; 5])> {
     let mut squares = *fixed;
@@ -248,7 +248,7 @@ fn best(points: &[Point], terms: &[usize], fixed: &Squares) -> Option<(Squares, 
     Some((squares, information))
 }
 
-/// Cholesky's method on the scaled matrix, whose entries else span the powers of τ.
+/// Solves the equations with the inverse of the matrix.
 fn solve(matrix: &[[f64; 5]; 5], right: &[f64; 5], n: usize) -> Option<[f64; 5]> {
     let inverse = inverse(matrix, n)?;
     let mut solved = [0.0; 5];
@@ -258,6 +258,7 @@ fn solve(matrix: &[[f64; 5]; 5], right: &[f64; 5], n: usize) -> Option<[f64; 5]>
     Some(solved)
 }
 
+/// Inverts the matrix by Cholesky's method. The matrix is scaled first, because its entries span the powers of τ.
 #[expect(clippy::needless_range_loop, reason = "matrices are indexed by row and column")]
 fn inverse(matrix: &[[f64; 5]; 5], n: usize) -> Option<[[f64; 5]; 5]> {
     let scale = |i: usize| libm::sqrt(matrix[i][i]);
@@ -299,7 +300,7 @@ fn inverse(matrix: &[[f64; 5]; 5], n: usize) -> Option<[[f64; 5]; 5]> {
     Some(inverse)
 }
 
-/// The largest part of the variance that a term makes up at any τ.
+/// Returns the largest part of the variance that a term has at any τ.
 fn largest_part(points: &[Point], squares: &Squares, term: usize) -> f64 {
     let part = |point: &Point| {
         Coefficient::ALL[term].variance(point.tau_s) * squares[term] / model(squares, point.tau_s)
@@ -307,6 +308,7 @@ fn largest_part(points: &[Point], squares: &Squares, term: usize) -> f64 {
     points.iter().map(part).fold(0.0, f64::max)
 }
 
+/// A chosen model.
 struct Chosen {
     terms: Vec<usize>,
     squares: Squares,
@@ -314,8 +316,8 @@ struct Chosen {
     deviance: f64,
 }
 
-/// The model that says most for its price. `shortest`: whether these are all points from the first on. Else
-/// something unknown stands at short τ, and a slope of −1 may as well be its tail as Q.
+/// Chooses the model with the lowest deviance plus penalties. `shortest` says whether the points include the shortest τ. If
+/// not, an unknown error acts at short τ, and a slope of −1 can be its tail instead of Q, so Q is not tried.
 fn choose(points: &[Point], shortest: bool) -> Option<Chosen> {
     let mut chosen: Option<Chosen> = None;
     for subset in (1_u32..32).filter(|subset| shortest || subset & 1 == 0) {
@@ -324,27 +326,28 @@ fn choose(points: &[Point], shortest: bool) -> Option<Chosen> {
             continue;
         }
         let Some((squares, information)) = best(points, &terms, &[0.0; 5]) else { continue };
-        if terms.len() > 1 && terms.iter().any(|&term| largest_part(points, &squares, term) < LEAST_PART) {
+        if terms.len() > 1 && terms.iter().any(|&term| largest_part(points, &squares, term) < MIN_PART) {
             continue;
         }
         let deviance = deviance(points, &squares);
-        let price = |terms: usize, deviance: f64| deviance + PRICE * terms as f64;
-        if chosen.as_ref().is_none_or(|c| price(terms.len(), deviance) < price(c.terms.len(), c.deviance)) {
+        let cost = |terms: usize, deviance: f64| deviance + TERM_PENALTY * terms as f64;
+        if chosen.as_ref().is_none_or(|c| cost(terms.len(), deviance) < cost(c.terms.len(), c.deviance)) {
             chosen = Some(Chosen { terms, squares, information, deviance });
         }
     }
     chosen
 }
 
-/// Whether the model describes the points as a whole.
+/// Returns whether the deviance is plausible for a right model.
 fn describes(points: &[Point], chosen: &Chosen) -> bool {
     let freedom = (points.len() - chosen.terms.len()) as f64;
     chosen.deviance <= CORRELATION * CORRELATION * chi_squared_quantile(0.999, freedom)
 }
 
-/// Fits the points, whose τ rise by octaves, of a record of this length. `step` is that of the converter, if the samples show one.
+/// Fits points at octave τ of a record of length `record_s`, s. `step` is the step of the converter, if the samples show
+/// one.
 pub fn fit(points: &[Point], record_s: f64, step: Option<f64>) -> Fit {
-    // At longer τ fewer than eight independent averages are left, which are as good as one point together.
+    // Longer τ have fewer than eight independent averages, and add little information.
     let usable = |p: &Point| p.variance > 0.0 && p.variance.is_finite() && p.tau_s <= record_s / AVERAGES;
     let points: Vec<Point> = points.iter().copied().filter(usable).collect();
     let hidden = |reason: &str| Fit {
@@ -352,20 +355,20 @@ pub fn fit(points: &[Point], record_s: f64, step: Option<f64>) -> Fit {
         range_s: None,
         note: None,
     };
-    if points.len() < LEAST_POINTS {
+    if points.len() < MIN_POINTS {
         return hidden(&format!(
-            "too short: {} octaves of τ, and it takes {LEAST_POINTS}; record longer",
+            "too short: {} octaves of τ, must be at least {MIN_POINTS}; record longer",
             points.len()
         ));
     }
     if let Some(step) = step {
         let deviation = libm::sqrt(points[0].variance);
-        // Below about 0.4 steps of true noise, which with the rounding's own is half a step, rounding errors
-        // follow the signal instead of being noise on it (Widrow and Kollár, *Quantization noise*, 2008).
+        // Below about 0.4 steps of true noise (half a step together with the rounding error), the rounding errors
+        // depend on the signal and are not noise (Widrow and Kollár, *Quantization noise*, 2008).
         if deviation < 0.5 * step {
             return hidden(&format!(
-                "the converter's steps of {step:.3e} are {:.1} times the noise between samples: what they \
-                 hide cannot be read back; record at a finer range",
+                "the converter's steps of {step:.3e} are {:.1} times the noise between samples and hide it; \
+                 record with a finer resolution",
                 step / deviation
             ));
         }
@@ -374,13 +377,13 @@ pub fn fit(points: &[Point], record_s: f64, step: Option<f64>) -> Fit {
         let points = &points[from..];
         choose(points, from == 0).map(|chosen| (points, chosen))
     };
-    let last_start = points.len() - LEAST_POINTS;
-    // A point that is left out is a parameter of its own, at the same price.
-    let price = |from: usize| {
-        suffix(from).map(|(_, chosen)| chosen.deviance + PRICE * (chosen.terms.len() + from) as f64)
+    let last_start = points.len() - MIN_POINTS;
+    // A point that is left out counts as a parameter, with the same penalty as a term.
+    let cost = |from: usize| {
+        suffix(from).map(|(_, chosen)| chosen.deviance + TERM_PENALTY * (chosen.terms.len() + from) as f64)
     };
-    let priced = (0..=last_start).filter_map(|from| price(from).map(|price| (price, from)));
-    let first = priced.min_by(|a, b| a.0.total_cmp(&b.0)).map_or(0, |(_, from)| from);
+    let costs = (0..=last_start).filter_map(|from| cost(from).map(|cost| (cost, from)));
+    let first = costs.min_by(|a, b| a.0.total_cmp(&b.0)).map_or(0, |(_, from)| from);
     let start = if first == 0 { 0 } else { (first + 2).min(last_start) };
     let Some((points, chosen)) = suffix(start) else {
         return hidden("no sum of the five errors describes this record");
@@ -388,16 +391,16 @@ pub fn fit(points: &[Point], record_s: f64, step: Option<f64>) -> Fit {
     let freedom = (points.len() - chosen.terms.len()).max(1) as f64;
     let widening = (CORRELATION * CORRELATION).max(chosen.deviance / freedom);
     let Some(covariance) = inverse(&chosen.information, chosen.terms.len()) else {
-        return hidden("the five errors cannot be told apart in this record");
+        return hidden("the five errors cannot be separated in this record");
     };
     let note = if !describes(points, &chosen) {
         Some(
             "no sum of the five errors describes this record well: the uncertainties are widened accordingly",
         )
     } else if start > 0 {
-        Some("shorter τ are left out: a filter, converter steps or tones show there, and not the five errors")
+        Some("shorter τ are left out: a filter, converter steps or tones dominate there, not the five errors")
     } else if chosen.terms == [4] {
-        Some("the drift of the record hides everything else: let the sensor warm up")
+        Some("the drift of the record hides all other errors: let the sensor warm up")
     } else {
         None
     };
@@ -405,18 +408,18 @@ pub fn fit(points: &[Point], record_s: f64, step: Option<f64>) -> Fit {
         match chosen.terms.iter().position(|&t| t == term) {
             Some(i) => {
                 let value = libm::sqrt(chosen.squares[term]);
-                // The square is fitted: σ of its root is σ/2√.
+                // The fit gives σ of the square: σ of the value is that divided by twice the value.
                 let uncertainty = libm::sqrt(covariance[i][i] * widening) / (2.0 * value);
                 Found::Value { value, uncertainty }
             }
             None if term == 0 && start > 0 => Found::Hidden {
-                reason: "the short τ, where it would be, are left out".into(),
+                reason: "the short τ, which would show it, are left out".into(),
                 at_most: at_most(points, &chosen, term, widening),
             },
             None => Found::Hidden {
                 reason: format!(
-                    "{}: the rest hides it up to τ = {:.4} s",
-                    Coefficient::ALL[term].shown_by(),
+                    "{}: the other errors hide it up to τ = {:.4} s",
+                    Coefficient::ALL[term].missing_feature(),
                     points[points.len() - 1].tau_s
                 ),
                 at_most: at_most(points, &chosen, term, widening),
@@ -430,13 +433,14 @@ pub fn fit(points: &[Point], record_s: f64, step: Option<f64>) -> Fit {
     }
 }
 
-/// The value of a term that is not in the model at which the deviance has risen by what is 95 % to one side.
+/// Returns the upper bound of a term that is not in the model: the value at which the deviance has risen by 1.645², for a
+/// one-sided confidence of 95 %.
 fn at_most(points: &[Point], chosen: &Chosen, term: usize, widening: f64) -> Option<f64> {
     let rise = 1.645 * 1.645 * widening;
     let with = |square: f64| {
         let mut fixed = [0.0; 5];
         fixed[term] = square;
-        // Dropping terms that the larger one leaves nothing for only raises the deviance.
+        // A large fixed term can make another term negative: models without one of the terms are tried, too.
         let kept =
             |terms: &[usize]| best(points, terms, &fixed).map(|(squares, _)| deviance(points, &squares));
         let mut lowest = kept(&chosen.terms);
@@ -449,7 +453,7 @@ fn at_most(points: &[Point], chosen: &Chosen, term: usize, widening: f64) -> Opt
         }
         lowest.unwrap_or(f64::INFINITY)
     };
-    // About where the term alone would be the whole variance.
+    // The search starts near the value at which the term alone is the whole variance.
     let unit = |point: &Point| point.variance / Coefficient::ALL[term].variance(point.tau_s);
     let mut high = points.iter().map(unit).fold(f64::INFINITY, f64::min);
     let mut low = 0.0;

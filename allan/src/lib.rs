@@ -1,13 +1,13 @@
-//! Allan analysis: how much a sensor's averages over τ still differ, and which errors that shows.
+//! Allan analysis: deviations of a sensor's averages over τ, and the error coefficients that fit them.
 //!
 //! ```text
 //!  samples ──phase──► running sums ──statistic──► σ(τ) with bounds from noise and confidence
-//!     mean off, compensated       octave τ, all cores        │
+//!     mean removed, compensated   octave τ, all cores        │
 //!                                                            ▼
-//!        N, B, K … or why not ◄──fit── σ²(τ) = 3Q²/τ² + N²/τ + 0.44 B² + K²τ/3 + R²τ²/2
+//!        N, B, K … or a reason ◄──fit── σ²(τ) = 3Q²/τ² + N²/τ + 0.44 B² + K²τ/3 + R²τ²/2
 //! ```
-//! The units are those of the samples: for a signal in rad/s, N is in rad/s/√Hz, B in rad/s, K in rad/s/√s, Q
-//! in rad, R in rad/s². N² is the two-sided density.
+//! The units follow from those of the samples: for a signal in rad/s, N is in rad/s/√Hz, B in rad/s, K in rad/s/√s, Q
+//! in rad and R in rad/s². N² is the two-sided density.
 //!
 //! ```
 //! use allan::{Phase, Statistic, Taus, deviations};
@@ -20,7 +20,7 @@
 //! ```
 #![forbid(unsafe_code)]
 #![warn(missing_docs)]
-// Tests may take the C library's functions as a second opinion: see clippy.toml.
+// Tests may compare with the C library's functions: see clippy.toml.
 #![cfg_attr(test, allow(clippy::disallowed_methods))]
 
 pub mod confidence;
@@ -37,18 +37,18 @@ pub use taus::Taus;
 
 use confidence::{Estimate, LEVEL, bounds};
 
-/// A deviation at a τ.
+/// The deviation at a τ.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Point {
-    /// τ, s.
+    /// Averaging time τ, s.
     pub tau_s: f64,
-    /// The deviation.
+    /// Estimated deviation.
     pub deviation: f64,
-    /// Lower 68 % bound of the true one.
+    /// Lower 68 % bound of the true deviation.
     pub lower: f64,
-    /// Upper 68 % bound of the true one.
+    /// Upper 68 % bound of the true deviation.
     pub upper: f64,
-    /// Terms that it is the mean of.
+    /// Number of terms of the estimate.
     pub pairs: usize,
     /// Equivalent degrees of freedom.
     pub edf: f64,
@@ -56,10 +56,10 @@ pub struct Point {
     pub alpha: i32,
 }
 
-/// Averages that it takes to believe in a flatter power law: the autocorrelation is then known to 0.03.
+/// Minimum number of averages to accept a flatter power law: the autocorrelation is then known to 0.03.
 const ENOUGH_AVERAGES: usize = 1000;
 
-/// The deviations at these averaging factors, with their bounds. The record is not constant.
+/// Returns the deviations at these averaging factors, with their bounds. The record must not be constant.
 pub fn deviations(
     phase: &Phase,
     statistic: Statistic,
@@ -68,15 +68,15 @@ pub fn deviations(
     progress: &(dyn Fn(usize, usize) + Sync),
 ) -> Vec<Point> {
     let variances = statistic::variances(phase, statistic, factors, threads, progress);
-    // White until the data say otherwise; where the record gets too short to tell, as at the τ before. With
-    // few averages a steeper law may be chance and only widens the bounds; a flatter one would narrow them on
-    // a guess.
+    // The first assumption is white noise. At τ for which the record is too short, the law of the last τ is kept.
+    // With few averages, a steeper law is accepted, because it only widens the bounds even if it is wrong. A flatter
+    // law would narrow them, so it needs enough averages.
     let mut alpha = 0;
-    // Neighbouring τ of a long list follow the same law: it is asked for once in a 32nd of an octave.
-    let mut asked = 0;
+    // Neighbouring τ of a long list follow the same law: it is identified once in a 32nd of an octave.
+    let mut identified_at = 0;
     let points = factors.iter().zip(variances).map(|(&m, variance)| {
-        if asked == 0 || m >= asked + asked / 32 {
-            asked = m;
+        if identified_at == 0 || m >= identified_at + identified_at / 32 {
+            identified_at = m;
             let found = noise::exponent(phase, m, statistic).unwrap_or(alpha);
             if found < alpha || phase.samples() / m >= ENOUGH_AVERAGES {
                 alpha = found;
@@ -91,7 +91,8 @@ pub fn deviations(
     points.collect()
 }
 
-/// The coefficients, from overlapping deviations at octave τ of a record of this length.
+/// Fits the coefficients to overlapping deviations at octave τ of a record of length `record_s`, s. `step` is the step of
+/// the converter, if the samples show one.
 pub fn fitted(octaves: &[Point], record_s: f64, step: Option<f64>) -> Fit {
     let point = |p: &Point| fit::Point { tau_s: p.tau_s, variance: p.deviation * p.deviation, edf: p.edf };
     fit::fit(&octaves.iter().map(point).collect::<Vec<_>>(), record_s, step)

@@ -1,33 +1,33 @@
-//! Which power law the noise follows at a τ: the exponent α of S(f) ∝ f^α of the rate.
+//! Identification of the noise's power law at a τ: the exponent α of S(f) ∝ f^α of the rate.
 //!
-//! From the lag-1 autocorrelation r of averages over τ (W. J. Riley, C. A. Greenhall, *Power law noise
-//! identification using the lag 1 autocorrelation*, 18th EFTF, 2004): a fractionally integrated process has
-//! r = δ/(1 − δ), so δ = r/(1 + r). While δ is above 1/4 the averages are not stationary, and their differences
-//! are looked at; after d of these α = −2 (δ + d).
+//! The method uses the lag-1 autocorrelation r of averages over τ (W. J. Riley, C. A. Greenhall, *Power law noise
+//! identification using the lag 1 autocorrelation*, 18th EFTF, 2004). A fractionally integrated process has
+//! r = δ/(1 − δ), so δ = r/(1 + r). While δ is at least 1/4 the averages are not stationary and are replaced by their
+//! differences; after d of these steps α = −2 (δ + d).
 
 use super::phase::Phase;
 use super::statistic::Statistic;
 
-/// Averages that it takes to say anything; with fewer the α of the next shorter τ stands.
-const LEAST: usize = 30;
-/// Averages that are plenty: r is then known to 0.003. Of longer records the middle is taken.
-const MOST: usize = 1 << 17;
+/// Minimum number of averages for an identification.
+const MIN_AVERAGES: usize = 30;
+/// Maximum number of averages that are used: r is then known to 0.003. Of longer records the middle is used.
+const MAX_AVERAGES: usize = 1 << 17;
 
-/// The exponent at averaging factor m, for the statistic's edf; `None` if the record is too short to tell.
+/// Returns the exponent at averaging factor m, for the statistic's edf; `None` if the record is too short.
 pub fn exponent(phase: &Phase, m: usize, statistic: Statistic) -> Option<i32> {
     let x = phase.sums();
     let all = phase.samples() / m;
-    if all < LEAST {
+    if all < MIN_AVERAGES {
         return None;
     }
-    let taken = all.min(MOST);
-    let first = (all - taken) / 2;
-    let mut z: Vec<f64> = (first..first + taken).map(|k| (x[(k + 1) * m] - x[k * m]) / m as f64).collect();
-    // Differences of order d see spectra no steeper than f^−2d.
-    let most_differences = statistic.order();
-    for differences in 0..=most_differences {
+    let used = all.min(MAX_AVERAGES);
+    let first = (all - used) / 2;
+    let mut z: Vec<f64> = (first..first + used).map(|k| (x[(k + 1) * m] - x[k * m]) / m as f64).collect();
+    // Differences of order d resolve spectra down to f^−2d.
+    let max_differences = statistic.order();
+    for differences in 0..=max_differences {
         let delta = delta(&z);
-        if delta < 0.25 || differences == most_differences {
+        if delta < 0.25 || differences == max_differences {
             let alpha = libm::round(-2.0 * delta) as i32 - 2 * differences as i32;
             return Some(alpha.clamp(2 - 2 * statistic.order() as i32, 2));
         }
@@ -39,13 +39,14 @@ pub fn exponent(phase: &Phase, m: usize, statistic: Statistic) -> Option<i32> {
     None
 }
 
+/// Returns δ of a series.
 fn delta(z: &[f64]) -> f64 {
     let mean = z.iter().sum::<f64>() / z.len() as f64;
     let squares: f64 = z.iter().map(|z| (z - mean) * (z - mean)).sum();
     let products: f64 = z.windows(2).map(|w| (w[0] - mean) * (w[1] - mean)).sum();
-    // An exactly constant series: nothing to tell it from white noise.
+    // An exactly constant series counts as white noise.
     let r = if squares > 0.0 { products / squares } else { 0.0 };
-    // Shorter than about 1e-3 below −1/2 is noise of the estimate.
+    // Values below −1/2 are noise of the estimate.
     let r = r.max(-0.499);
     r / (1.0 + r)
 }
@@ -56,7 +57,7 @@ mod tests {
     use random::NormalStream;
 
     #[test]
-    fn power_laws_are_told_apart() {
+    fn power_laws_are_identified() {
         let mut stream = NormalStream::new(3, "noise", 0);
         let white: Vec<f64> = (0..40_000).map(|_| stream.draw()).collect();
         let sum = |y: &[f64]| {
@@ -75,7 +76,7 @@ mod tests {
             (&white, Statistic::Overlapping, 0),
             (&walk, Statistic::Overlapping, -2),
             (&walk, Statistic::Hadamard, -2),
-            // Allan's variance does not converge there: the steepest that it takes.
+            // The Allan variance does not converge for this law: the result is the steepest law that it accepts.
             (&run, Statistic::Overlapping, -2),
             (&run, Statistic::Hadamard, -4),
         ] {

@@ -1,17 +1,17 @@
-//! The running sum of a signal, which all the statistics are differences of.
+//! The running sums of a signal. All statistics are differences of these sums.
 //!
-//! # Numbers
-//! A sensor on the bench reads a large constant (1 g, or a count offset) with small noise on it, and a long
-//! record sums up to more than a double tells apart: 10⁸ samples of mean 10⁶ σ come to 10¹⁴ σ, with steps of
-//! 0.02 σ. So the mean is taken off first, and what is left is summed in blocks, the blocks' starts with
-//! compensation (Neumaier 1974): each sum is then off by little more than half its own last place, and stays
-//! within √n σ. None of this changes a statistic: a constant rate is a straight line in the sums, and second
-//! differences do not see straight lines.
+//! # Precision
+//! A sensor at rest reads a large constant (1 g, or an offset in counts) with small noise, and the sum of a long record
+//! exceeds the resolution of a double: 10⁸ samples with a mean of 10⁶ σ have the sum 10¹⁴ σ, at which a double has steps
+//! of 0.02 σ. Therefore the mean is subtracted first, so that the sums stay within about √n σ. The sums are computed in
+//! blocks, whose starts are added with compensation (Neumaier 1974): the error of each sum is little more than half a unit
+//! in its last place. The mean does not change a statistic: a constant rate is a straight line in the sums, and the second
+//! difference of a straight line is zero.
 
 /// Samples in a block of plain summation.
 const BLOCK: usize = 4096;
 
-/// x\[k\], the sum of the first k samples with their mean taken off; one more than there are samples.
+/// The sums x\[k\] of the first k samples without their mean. There is one more sum than samples.
 #[derive(Clone, Debug)]
 pub struct Phase {
     x: Vec<f64>,
@@ -19,7 +19,7 @@ pub struct Phase {
 }
 
 impl Phase {
-    /// Of samples of a rate, in whose place the sums are written.
+    /// Computes the sums of samples of a rate, in place.
     pub fn of_rate(mut samples: Vec<f64>, interval_s: f64) -> Self {
         let mean = mean(&samples);
         let mut start = Compensated::default();
@@ -37,7 +37,7 @@ impl Phase {
         Self { x: samples, interval_s }
     }
 
-    /// Of an angle (or velocity, or phase) sampled at this interval: what is already a sum.
+    /// Computes the sums from samples of an angle (or velocity, or phase), which is already a sum.
     pub fn of_angle(mut samples: Vec<f64>, interval_s: f64) -> Self {
         let (first, last) = match samples.as_slice() {
             [first, .., last] => (*first, *last),
@@ -45,40 +45,40 @@ impl Phase {
         };
         let slope = (last - first) / (samples.len().max(2) - 1) as f64;
         for (k, x) in samples.iter_mut().enumerate() {
-            // A sum of samples has the unit of the rate; an angle is that times the interval.
+            // A sum of samples has the unit of the rate; an angle is the sum times the interval.
             *x = ((*x - first) - slope * k as f64) / interval_s;
         }
         Self { x: samples, interval_s }
     }
 
-    /// The sums.
+    /// Returns the sums.
     pub fn sums(&self) -> &[f64] {
         &self.x
     }
 
-    /// Number of samples of the rate.
+    /// Returns the number of samples of the rate.
     pub fn samples(&self) -> usize {
         self.x.len().saturating_sub(1)
     }
 
-    /// Time between samples, s.
+    /// Returns the time between samples, s.
     pub fn interval_s(&self) -> f64 {
         self.interval_s
     }
 
-    /// Length of the record, s.
+    /// Returns the length of the record, s.
     pub fn length_s(&self) -> f64 {
         self.samples() as f64 * self.interval_s
     }
 
-    /// Whether the rate rises over the record: its second half less its first.
+    /// Returns whether the rate rises over the record: whether its second half is at least its first half.
     pub fn rises(&self) -> bool {
         let half = self.samples() / 2;
         self.x[2 * half] - self.x[half] >= self.x[half] - self.x[0]
     }
 }
 
-/// Mean of the samples, as exact as a double holds it.
+/// Returns the mean of the samples, with the precision of a double.
 fn mean(samples: &[f64]) -> f64 {
     let Some(&origin) = samples.first() else { return 0.0 };
     let mut total = Compensated::default();
@@ -95,7 +95,7 @@ fn mean(samples: &[f64]) -> f64 {
     origin + total.total() / samples.len() as f64
 }
 
-/// A sum that remembers what rounding took from it.
+/// A sum with the compensation of its rounding errors.
 #[derive(Clone, Copy, Debug, Default)]
 struct Compensated {
     sum: f64,
@@ -119,14 +119,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn sums_are_those_of_the_deviations_from_the_mean() {
+    fn sums_are_of_deviations_from_the_mean() {
         let phase = Phase::of_rate(vec![1.0, 2.0, 6.0], 0.5);
         assert_eq!(phase.sums(), [0.0, -2.0, -3.0, 0.0]);
         assert_eq!((phase.samples(), phase.length_s(), phase.rises()), (3, 1.5, true));
     }
 
     #[test]
-    fn an_angle_is_the_sum_of_its_rate() {
+    fn angle_gives_the_same_sums_as_its_rate() {
         let rate = [3.0, -1.0, 4.0, 1.0, -5.0];
         let mut angle = vec![7.0];
         for y in rate {
@@ -139,7 +139,7 @@ mod tests {
     }
 
     #[test]
-    fn what_rounding_takes_is_remembered() {
+    fn compensated_sum_keeps_rounding_errors() {
         let mut sum = Compensated::default();
         [1e16, 1.0, 1.0, -1e16].into_iter().for_each(|x| sum.add(x));
         assert_eq!(sum.total(), 2.0);

@@ -1,9 +1,9 @@
-//! The statistics and their bounds against published figures.
+//! Tests of the statistics and their bounds against published figures.
 //!
 //! The data are those of NIST SP 1065 (Riley 2008), section 12.4: nine frequencies from NBS Monograph 140,
-//! annex 8.E (ten points of phase), and 1,000 from a congruential generator. Their deviations are tables 30 and
-//! 31. The bounds of the long one are what Stable32 1.60 prints for it, as kept with the tests of allantools
-//! (`tests/phasedat/phase_dat_*_octave.txt`; `PHASE.DAT` is the long one as phase), and SP 1065's table 32.
+//! annex 8.E (ten points of phase), and 1,000 frequencies from a congruential generator. Tables 30 and 31 have their
+//! deviations. The bounds of the long series are from Stable32 1.60, as stored with the tests of allantools
+//! (`tests/phasedat/phase_dat_*_octave.txt`; `PHASE.DAT` is the long series as phase), and from SP 1065's table 32.
 
 use super::confidence::{Estimate, LEVEL, bounds};
 use super::statistic::variances;
@@ -26,7 +26,7 @@ fn deviation(phase: &Phase, statistic: Statistic, m: usize) -> (f64, usize) {
     (variance.value.sqrt(), variance.terms)
 }
 
-/// The same as rate and as angle.
+/// Returns the sums of the same data, given as rate and as angle.
 fn both(rate: &[f64]) -> [Phase; 2] {
     let mut angle = vec![0.0];
     rate.iter().for_each(|y| angle.push(angle[angle.len() - 1] + y));
@@ -34,7 +34,7 @@ fn both(rate: &[f64]) -> [Phase; 2] {
 }
 
 #[test]
-fn nbs14_of_10_points_to_the_printed_digits() {
+fn deviations_of_10_points_equal_nbs14() {
     for phase in both(&SHORT) {
         for (statistic, printed) in [
             (Statistic::Standard, ["91.22945", "115.8082"]),
@@ -53,7 +53,7 @@ fn nbs14_of_10_points_to_the_printed_digits() {
 }
 
 #[test]
-fn the_1000_points_to_the_printed_digits() {
+fn deviations_of_1000_points_equal_nist_sp_1065() {
     for phase in both(&long()) {
         for (statistic, printed) in [
             (Statistic::Standard, ["2.922319e-1", "9.965736e-2", "3.897804e-2"]),
@@ -74,7 +74,7 @@ fn the_1000_points_to_the_printed_digits() {
 }
 
 #[test]
-fn bounds_are_those_that_stable32_prints() {
+fn bounds_equal_those_of_stable32() {
     let phase = Phase::of_rate(long(), 1.0);
     for (statistic, rows) in [
         (
@@ -148,20 +148,20 @@ fn bounds_are_those_that_stable32_prints() {
             let m = 1 << k;
             let found = deviation(&phase, statistic, m);
             assert_eq!(found.1, terms, "{statistic:?} {m}");
-            // Identified where there are 30 averages, and white noise beyond, as Stable32 found it all along.
+            // The power law is identified from 30 averages on, and else is white noise; Stable32 found white noise at all m.
             let alpha = noise::exponent(&phase, m, statistic).unwrap_or(0);
             assert_eq!(alpha, 0, "{statistic:?} {m}");
             let edf = Estimate { statistic, alpha, m, sums: 1001 }.edf();
             let (from, to) = bounds(found.0, edf, 0.683);
             for (ours, printed) in [(from, lower), (found.0, sigma), (to, upper)] {
-                // Its χ² is an approximation, good to 5 parts in 10⁴.
+                // Stable32's χ² is an approximation with an error of up to 5·10⁻⁴.
                 assert!((ours / printed - 1.0).abs() < 5e-4, "{statistic:?} {m}: {ours:e} for {printed:e}");
             }
         }
     }
 }
 
-/// SP 1065's own edf is a simpler formula's (its table 5), 146.177; its χ² is rounded to about 1e-3.
+/// SP 1065 uses a simpler formula for the edf (its table 5), 146.177; its χ² is rounded to about 1e-3.
 #[test]
 fn bounds_of_table_32_follow_from_its_degrees_of_freedom() {
     let (lower, upper) = bounds(9.159953e-2, 146.177, 0.95);
@@ -170,9 +170,9 @@ fn bounds_of_table_32_follow_from_its_degrees_of_freedom() {
     assert!((ours / 146.177 - 1.0).abs() < 0.1, "{ours}");
 }
 
-/// Against allantools 2024.6 and scipy 1.17.
+/// The expected values are from allantools 2024.6 and scipy 1.17.
 #[test]
-fn degrees_of_freedom_and_quantiles_are_those_of_independent_programs() {
+fn edf_and_quantiles_equal_those_of_other_programs() {
     use Statistic::{Hadamard, Modified, Overlapping, Standard};
     for (statistic, alpha, m, sums, expected) in [
         (Overlapping, 0, 10, 1001, 135.0714051003793),
@@ -206,9 +206,9 @@ fn degrees_of_freedom_and_quantiles_are_those_of_independent_programs() {
     }
 }
 
-/// A mean of 10⁶ σ: nothing may be lost to it.
+/// A mean of 10⁶ σ does not reduce the precision.
 #[test]
-fn a_large_mean_changes_nothing() {
+fn large_mean_does_not_change_the_deviations() {
     use random::NormalStream;
     let mut stream = NormalStream::new(5, "mean", 0);
     let small: Vec<f64> = (0..2_000_000).map(|_| stream.draw()).collect();
@@ -217,14 +217,14 @@ fn a_large_mean_changes_nothing() {
     for statistic in [Statistic::Standard, Statistic::Overlapping, Statistic::Modified, Statistic::Hadamard] {
         for m in [1, 64, 4096, 262_144] {
             let (a, b) = (deviation(&small, statistic, m).0, deviation(&large, statistic, m).0);
-            // The samples themselves lose 1e-10 σ to the mean when it is added to them.
+            // Adding the mean rounds the samples by 1e-10 σ.
             assert!((a / b - 1.0).abs() < 1e-9, "{statistic:?} {m}: {a} {b}");
         }
     }
 }
 
 #[test]
-fn the_result_does_not_depend_on_the_number_of_threads() {
+fn result_does_not_depend_on_number_of_threads() {
     use random::NormalStream;
     let mut stream = NormalStream::new(6, "threads", 0);
     let phase = Phase::of_rate((0..2_500_000).map(|_| stream.draw()).collect(), 1.0);
@@ -236,7 +236,7 @@ fn the_result_does_not_depend_on_the_number_of_threads() {
 }
 
 #[test]
-fn blocks_and_segments_join_without_a_seam() {
+fn blocks_and_segments_give_the_direct_sum() {
     let y: Vec<f64> = (0..1_200_000_u64).map(|k| (k * k % 1009) as f64).collect();
     let phase = Phase::of_rate(y, 1.0);
     let x = phase.sums();

@@ -1,54 +1,54 @@
-//! The deviations themselves.
+//! The variances of the statistics.
 //!
-//! With x the running sums, P of them, and τ = m Δt (W. J. Riley, *Handbook of Frequency Stability Analysis*,
-//! NIST SP 1065, 2008, section 5.2; sums over every k that has all its terms):
+//! x are the P running sums, and τ = m Δt (W. J. Riley, *Handbook of Frequency Stability Analysis*, NIST SP 1065, 2008,
+//! section 5.2). The sums are over each k for which all terms exist; n is the number of terms:
 //!
 //! | statistic | variance at m | terms |
 //! |---|---|---|
 //! | standard (eq 15) | Σ (x\[k+2m\] − 2x\[k+m\] + x\[k\])² / 2m²n, k = 0, m, 2m … | ⌊(P−1)/m⌋ − 1 |
-//! | overlapping | the same for every k | P − 2m |
+//! | overlapping | the same for each k | P − 2m |
 //! | modified | Σ (Σ_{i<m} x\[k+i+2m\] − 2x\[k+i+m\] + x\[k+i\])² / 2m⁴n | P − 3m + 1 |
 //! | Hadamard, overlapping | Σ (x\[k+3m\] − 3x\[k+2m\] + 3x\[k+m\] − x\[k\])² / 6m²n | P − 3m |
 //! | total | Σ (x\[k+m\] − 2x\[k\] + x\[k−m\])² / 2m²n, k = 1 … P−2, x mirrored about its two ends | P − 2 |
 //!
 //! # Speed
-//! The work is bound by memory, and the sums of a long record do not fit any cache. So all m of a batch go
-//! through the record together, a block at a time: the far end of one octave's differences is the middle of
-//! the next one's, and comes from the cache. A batch and a segment of the record make a piece of work, pieces
-//! are shared out to the cores, and their sums are added in the order of the record: the result is the same
-//! to the bit on any number of cores.
+//! Memory bandwidth limits the speed, because the sums of a long record do not fit into a cache. Therefore all m of a
+//! batch are computed together, block by block: the end of one octave's differences is the middle of the next octave's,
+//! and is still in the cache. A batch and a segment of the record are a piece of work. The pieces are distributed to the
+//! cores, and their sums are added in the order of the record, so that the result is bit for bit the same on any number
+//! of cores.
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use super::phase::Phase;
 
-/// Which statistic.
+/// The statistic.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Statistic {
-    /// Eq 15: differences of neighbouring averages, without overlap.
+    /// Allan variance by eq 15: differences of neighbouring averages, without overlap.
     Standard,
-    /// The same from every sample on: the same expectation, less scatter.
+    /// Allan variance with averages that start at each sample: the same expectation with less scatter.
     Overlapping,
-    /// Averages over m of them: tells the two kinds of phase noise apart.
+    /// Modified Allan variance: averages over m differences, which separates white and flicker phase noise.
     Modified,
-    /// Third differences, overlapping: blind to a linear drift.
+    /// Hadamard variance: overlapping third differences, which are insensitive to a linear drift.
     Hadamard,
-    /// Overlapping, on a record mirrored about its ends: more to say at τ near half the record.
+    /// Total variance: overlapping, on a record mirrored about its ends, which is more precise at τ near half the record.
     Total,
 }
 
-/// Averaging factors in a piece of work.
+/// Number of averaging factors in a piece of work.
 const BATCH: usize = 32;
-/// Terms in a piece of work.
+/// Number of terms in a piece of work.
 const SEGMENT: usize = 1 << 20;
-/// Terms of one factor before the next factor's turn: three streams of it fit the first cache.
+/// Number of terms of one factor that are computed before the next factor: three streams of it fit into the L1 cache.
 const BLOCK: usize = 1024;
 
-/// Time of a term on one core, ns, measured on a 2-core x86-64 machine: only for [`estimate_s`].
+/// Time of a term on one core, ns, measured on a 2-core x86-64 machine. Only [`estimate_s`] uses it.
 const NS_PER_TERM: f64 = 0.7;
 
 impl Statistic {
-    /// The largest averaging factor for which the record has enough terms to mean anything.
+    /// Returns the largest averaging factor for which the record has enough terms.
     pub fn largest_factor(self, samples: usize) -> usize {
         match self {
             Self::Standard | Self::Overlapping | Self::Modified | Self::Hadamard => samples / 3,
@@ -56,24 +56,24 @@ impl Statistic {
         }
     }
 
-    /// Order of the difference: 2, or 3 for Hadamard's.
+    /// Returns the order of the difference: 2, or 3 for Hadamard.
     pub fn order(self) -> u32 {
         if self == Self::Hadamard { 3 } else { 2 }
     }
 
-    /// Number of terms at averaging factor m, of P sums.
+    /// Returns the number of terms at averaging factor m, for a number of sums.
     pub fn terms(self, sums: usize, m: usize) -> usize {
-        let or_none = |taken: usize| sums.saturating_sub(taken);
+        let all_but = |excluded: usize| sums.saturating_sub(excluded);
         match self {
             Self::Standard => (sums.saturating_sub(1) / m).saturating_sub(1),
-            Self::Overlapping => or_none(2 * m),
-            Self::Modified => or_none(3 * m - 1),
-            Self::Hadamard => or_none(3 * m),
-            Self::Total => or_none(2),
+            Self::Overlapping => all_but(2 * m),
+            Self::Modified => all_but(3 * m - 1),
+            Self::Hadamard => all_but(3 * m),
+            Self::Total => all_but(2),
         }
     }
 
-    /// From the sum of squares of so many terms to the variance.
+    /// Converts the sum of squares of the terms to the variance.
     fn normalised(self, sum: f64, m: usize, terms: usize) -> f64 {
         let m = m as f64;
         let per_term = match self {
@@ -84,7 +84,7 @@ impl Statistic {
         sum / (per_term * terms as f64)
     }
 
-    /// The sum of squares of the terms `from..to`.
+    /// Returns the sum of squares of the terms `from..to`.
     fn sum(self, x: &[f64], m: usize, from: usize, to: usize) -> f64 {
         let at = |k: usize| &x[from + k * m..to + k * m];
         match self {
@@ -103,8 +103,8 @@ fn second(a: f64, b: f64, c: f64) -> f64 {
     d * d
 }
 
-/// Eight lanes, which the compiler turns into what vectors the processor has; the order of the additions is
-/// the same on all of them.
+/// Returns the sum of squared second differences. Eight lanes let the compiler use the processor's vectors; the order of the
+/// additions is the same on all processors.
 fn seconds(a: &[f64], b: &[f64], c: &[f64]) -> f64 {
     let ((a, a_rest), (b, b_rest), (c, c_rest)) =
         (a.as_chunks::<8>(), b.as_chunks::<8>(), c.as_chunks::<8>());
@@ -122,7 +122,8 @@ fn thirds(a: &[f64], b: &[f64], c: &[f64], d: &[f64]) -> f64 {
     a.iter().zip(b).zip(c.iter().zip(d)).map(|((a, b), (c, d))| (d - a) - 3.0 * (c - b)).map(|t| t * t).sum()
 }
 
-/// The inner sum slides: each term adds one second difference to the last and takes one away.
+/// Returns the sum of squares of the modified variance. The inner sum is updated from term to term: one second difference is
+/// added and one is removed.
 fn modified(x: &[f64], m: usize, from: usize, to: usize) -> f64 {
     let mut inner: f64 = (from..from + m).map(|i| (x[i + 2 * m] - x[i + m]) - (x[i + m] - x[i])).sum();
     let mut sum = inner * inner;
@@ -133,7 +134,7 @@ fn modified(x: &[f64], m: usize, from: usize, to: usize) -> f64 {
     sum
 }
 
-/// A term of the total variance: beyond an end of the record it is the record turned about that end.
+/// Returns a squared term of the total variance. Beyond an end, the record is rotated by 180° about that end.
 fn mirrored(x: &[f64], m: usize, k: usize) -> f64 {
     let last = x.len() - 1;
     let before = if k >= m { x[k - m] } else { 2.0 * x[0] - x[m - k] };
@@ -141,16 +142,16 @@ fn mirrored(x: &[f64], m: usize, k: usize) -> f64 {
     second(before, x[k], after)
 }
 
-/// A variance and the number of terms it is the mean of.
+/// A variance and its number of terms.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Variance {
-    /// Its value, in the unit of the rate squared.
+    /// Variance, in the squared unit of the rate.
     pub value: f64,
-    /// Terms.
+    /// Number of terms.
     pub terms: usize,
 }
 
-/// Pieces: a batch of factors by a segment of their terms.
+/// Returns the pieces of work: index of a batch of factors, index of a segment of their terms.
 fn pieces(statistic: Statistic, sums: usize, factors: &[usize]) -> Vec<(usize, usize)> {
     let batches = factors.chunks(BATCH).enumerate();
     batches
@@ -161,11 +162,11 @@ fn pieces(statistic: Statistic, sums: usize, factors: &[usize]) -> Vec<(usize, u
         .collect()
 }
 
-/// Sums of squares of one piece, one for each factor of its batch.
+/// Returns the sums of squares of a piece, one for each factor of its batch.
 fn work(statistic: Statistic, x: &[f64], factors: &[usize], segment: usize) -> Vec<f64> {
     let mut sums = vec![0.0; factors.len()];
     let (from, to) = (segment * SEGMENT, (segment + 1) * SEGMENT);
-    // What slides does not like to start again, and its streams are few.
+    // The modified variance's running inner sum makes each restart expensive, so it uses the whole segment as one block.
     let block = if statistic == Statistic::Modified { SEGMENT } else { BLOCK };
     for from in (from..to).step_by(block) {
         for (sum, &m) in sums.iter_mut().zip(factors) {
@@ -178,8 +179,8 @@ fn work(statistic: Statistic, x: &[f64], factors: &[usize], segment: usize) -> V
     sums
 }
 
-/// The variances at these averaging factors, on so many threads. `progress` hears of each piece of work that
-/// is done, and how many there are.
+/// Computes the variances at these averaging factors on a number of threads. `progress` is called after each piece of work
+/// with the number of finished pieces and of all pieces.
 pub fn variances(
     phase: &Phase,
     statistic: Statistic,
@@ -221,10 +222,10 @@ pub fn variances(
     sums.iter().zip(factors).map(finished).collect()
 }
 
-/// Time of a factor's bounds, ns, the same way: what long lists of τ take besides their terms.
+/// Time of the bounds of a factor, ns, measured on the same machine. Only [`estimate_s`] uses it.
 const NS_PER_FACTOR: f64 = 60_000.0;
 
-/// About how long [`variances`] and the bounds take, s.
+/// Estimates the time of [`variances`] and of the bounds, s.
 pub fn estimate_s(statistic: Statistic, samples: usize, factors: &[usize], threads: usize) -> f64 {
     let terms = |m: usize| statistic.terms(samples + 1, m) as f64;
     let weight = match statistic {

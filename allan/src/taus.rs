@@ -1,6 +1,6 @@
-//! At which averaging times.
+//! Lists of averaging times.
 
-/// A choice of averaging times, all of them whole multiples of the sampling interval.
+/// A list of averaging times. All are multiples of the sampling interval.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Taus {
     /// 1, 2, 4, 8 … samples.
@@ -9,12 +9,12 @@ pub enum Taus {
     Decade,
     /// Evenly spaced on a logarithmic axis, 20 to a decade.
     Log,
-    /// Every one.
+    /// All multiples.
     All,
 }
 
 impl Taus {
-    /// The averaging factors up to the largest, rising.
+    /// Returns the averaging factors up to `largest`, in rising order.
     pub fn factors(self, largest: usize) -> Vec<usize> {
         match self {
             Self::Octave => std::iter::successors(Some(1_usize), |m| m.checked_mul(2))
@@ -43,7 +43,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn factors_rise_and_end_in_time() {
+    fn factors_rise_up_to_the_largest() {
         assert_eq!(Taus::Octave.factors(33), [1, 2, 4, 8, 16, 32]);
         assert_eq!(Taus::Decade.factors(200), [1, 2, 4, 10, 20, 40, 100, 200]);
         assert_eq!(Taus::All.factors(4), [1, 2, 3, 4]);

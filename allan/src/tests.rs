@@ -1,4 +1,4 @@
-//! The fit on records that are known, good and bad.
+//! Tests of the fit on simulated records with known errors.
 
 use flight_core::geometry::vec3;
 use flight_core::prefilter::{Biquad, Prefilter};
@@ -33,7 +33,7 @@ fn hour() -> std::ops::Range<usize> {
 }
 
 #[test]
-fn white_noise_is_white_noise_and_nothing_else_and_the_uncertainty_is_right() {
+fn white_noise_gives_only_n_with_the_right_uncertainty() {
     let mut squares = 0.0;
     let seeds = 100;
     for seed in 0..seeds {
@@ -52,7 +52,7 @@ fn white_noise_is_white_noise_and_nothing_else_and_the_uncertainty_is_right() {
 }
 
 #[test]
-fn a_quantized_angle_shows_q_where_it_is_noise() {
+fn quantized_angle_gives_q_if_rounding_is_noise() {
     let fit_with = |quantum: f64| {
         let mut w = white(1, N * RATE_HZ.sqrt());
         let (mut angle, mut last) = (0.0, 0.0);
@@ -65,19 +65,19 @@ fn a_quantized_angle_shows_q_where_it_is_noise() {
         });
         fit_of(samples.collect(), RATE_HZ, None)
     };
-    // The angle walks 0.003 a sample: less than three samples to a quantum.
+    // The angle changes by 0.003 a sample: a quantum takes fewer than three samples.
     let quantum = 0.008;
     let fit = fit_with(quantum);
     let [q, n, ..] = values(&fit);
     assert!(about(q, quantum / 12_f64.sqrt(), 0.1) && about(n, N, 0.03), "{fit:?}");
-    // Hundreds of samples to a quantum: at short τ rounding follows the angle, and whatever is left there may be
-    // anything. N is still right.
+    // A quantum takes hundreds of samples: at short τ the rounding error depends on the angle, and the model does not
+    // hold. N is still right.
     let [q, n, ..] = values(&fit_with(0.05));
     assert!(q.is_none() && about(n, N, 0.05), "{q:?} {n:?}");
 }
 
 #[test]
-fn walk_and_ramp_are_found_beside_white_noise() {
+fn random_walk_and_ramp_are_found_with_white_noise() {
     let (k, r) = (0.002, 4e-5);
     let mut w = white(2, 1.0);
     let mut bias = 0.0;
@@ -95,7 +95,7 @@ fn walk_and_ramp_are_found_beside_white_noise() {
 }
 
 #[test]
-fn a_filtered_sensor_does_not_fool_it() {
+fn low_pass_filter_does_not_change_the_coefficients() {
     for (cutoff_hz, rate_hz) in [(30.0, 1000.0), (5.0, 100.0), (40.0, 100.0)] {
         let mut w = white(3, N * f64::sqrt(rate_hz));
         let filter = Biquad::butterworth(cutoff_hz, rate_hz as f32).unwrap();
@@ -110,7 +110,7 @@ fn a_filtered_sensor_does_not_fool_it() {
 }
 
 #[test]
-fn a_quantized_sensor_does_not_fool_it() {
+fn converter_steps_are_noise_or_give_no_fit() {
     let sigma = N * RATE_HZ.sqrt();
     for (steps, shown) in [(0.5, true), (1.5, true), (8.0, false)] {
         let step = steps * sigma;
@@ -118,7 +118,7 @@ fn a_quantized_sensor_does_not_fool_it() {
         let samples = hour().map(|_| ((w() + 0.23 * step) / step).round() * step);
         let fit = fit_of(samples.collect(), RATE_HZ, Some(step));
         if shown {
-            // The rounding is noise of step²/12 a sample, and belongs to what the sensor puts out.
+            // The rounding is noise of step²/12 a sample, and is part of the sensor's noise.
             let expected = N * (1.0 + steps * steps / 12.0).sqrt();
             let [q, n, b, k, r] = values(&fit);
             assert!(about(n, expected, 0.03) && [q, b, k, r] == [None; 4], "{steps}: {fit:?}");
@@ -130,7 +130,7 @@ fn a_quantized_sensor_does_not_fool_it() {
 }
 
 #[test]
-fn what_is_not_seen_has_a_bound_that_holds() {
+fn hidden_coefficient_has_a_right_upper_bound() {
     let mut w = white(5, N * RATE_HZ.sqrt());
     let mut bias = 0.0;
     let mut v = white(6, 1e-5 / RATE_HZ.sqrt());
@@ -144,7 +144,7 @@ fn what_is_not_seen_has_a_bound_that_holds() {
 }
 
 #[test]
-fn a_short_record_says_so() {
+fn short_record_gives_a_reason() {
     let fit = fit_of(vec![1.0, 2.0, 4.0], 10.0, None);
     let Found::Hidden { reason, .. } = &fit.found[0] else { panic!("{fit:?}") };
     assert!(reason.starts_with("too short"), "{reason}");

@@ -1,7 +1,6 @@
 //! Attitude from gyroscope samples alone.
 //!
-//! A sample is the rotation about the body's axes that the gyroscope integrated since the last one, rad: its
-//! mean rate times the sample period.
+//! A sample is the integral of the body rates since the last sample, rad: the mean rate times the sample period.
 //!
 //! | | drift in coning motion of half-angle a at ω, β = ω × sample period | attitude every |
 //! |---|---|---|
@@ -10,17 +9,17 @@
 //! | [`Coning`] of 2 samples | a²ω β⁴/60 | 2 samples |
 //! | [`Coning`] of 3 samples | a²ω β⁶/280 | 3 samples |
 //!
-//! While the axis of rotation itself moves, rotations about the body's axes may not be added: a sample holds
-//! their sum, and what is missing is ½ ∫ α × dα over the update. In coning motion, what a shaken vehicle does,
-//! that has a mean, and the attitude drifts. Two samples show how fast the rates change, three how their change
-//! changes, and with it the integral (R. B. Miller, *A new strapdown attitude algorithm*, Journal of Guidance 6, 1983;
-//! the coefficients for three samples are those that suit coning motion best).
+//! While the axis of rotation itself moves, rotations about the body's axes must not be added: a sample holds
+//! their sum, and the error is ½ ∫ α × dα over the update. In coning motion, as of a shaken vehicle, this error
+//! has a mean, and the attitude drifts. From two samples follows the change of the rates, from three the change of that
+//! change, and with them the integral (R. B. Miller, *A new strapdown attitude algorithm*, Journal of Guidance 6, 1983;
+//! the coefficients for three samples are those that are best for coning motion).
 
 use flight_core::geometry::{Quaternion, Vec3};
 
 use crate::Real;
 
-/// Euler angles by their kinematics, a step of the first order.
+/// Euler angles, integrated by a first-order step of their kinematics.
 #[derive(Clone, Copy, Debug)]
 pub struct EulerAngles<T> {
     /// Roll, pitch and yaw, rad.
@@ -28,32 +27,32 @@ pub struct EulerAngles<T> {
 }
 
 impl<T: Real> EulerAngles<T> {
-    /// Takes one sample, rad. Within 0.06° of the vertical, 1/cos θ is held, as in `flight-core`'s filter.
+    /// Adds one sample, rad. Within 0.06° of the vertical, 1/cos θ is limited, as in `flight-core`'s filter.
     #[inline(always)]
     pub fn step(&mut self, turn: Vec3<T>) {
         let (sin_roll, cos_roll) = self.angles.x.sin_cos();
         let (sin_pitch, cos_pitch) = self.angles.y.sin_cos();
-        let least = T::of(0.001);
+        let min_cos = T::of(0.001);
         let cos_pitch = if cos_pitch >= T::ZERO {
-            if cos_pitch > least { cos_pitch } else { least }
-        } else if cos_pitch < -least {
+            if cos_pitch > min_cos { cos_pitch } else { min_cos }
+        } else if cos_pitch < -min_cos {
             cos_pitch
         } else {
-            -least
+            -min_cos
         };
         let yaw = (turn.y * sin_roll + turn.z * cos_roll) / cos_pitch;
         let pitch = turn.y * cos_roll - turn.z * sin_roll;
         self.angles += Vec3 { x: turn.x + yaw * sin_pitch, y: pitch, z: yaw };
     }
 
-    /// The attitude, body to world.
+    /// Returns the attitude, body to world.
     pub fn attitude(&self) -> Quaternion<T> {
         let half = |angle: T| (angle * T::of(0.5)).sin_cos();
         Quaternion::from_half_angles(half(self.angles.x), half(self.angles.y), half(self.angles.z))
     }
 }
 
-/// A quaternion turned by the rotation vector of `N` samples: 1, 2 or 3.
+/// A quaternion that is rotated by the rotation vector of `N` samples: 1, 2 or 3.
 #[derive(Clone, Copy, Debug)]
 pub struct Coning<T, const N: usize> {
     attitude: Quaternion<T>,
@@ -64,13 +63,13 @@ pub struct Coning<T, const N: usize> {
 impl<T: Real, const N: usize> Coning<T, N> {
     const KNOWN: () = assert!(N >= 1 && N <= 3, "a coning algorithm of 1, 2 or 3 samples");
 
-    /// Starts at this attitude, body to world.
+    /// Returns the integrator with this attitude, body to world.
     pub fn new(attitude: Quaternion<T>) -> Self {
         let () = Self::KNOWN;
         Self { attitude, turns: [Vec3::ZERO; N], taken: 0 }
     }
 
-    /// Takes one sample, rad. Every `N`th turns the attitude.
+    /// Adds one sample, rad. Every `N`th sample updates the attitude.
     #[inline(always)]
     pub fn step(&mut self, turn: Vec3<T>) {
         if let Some(slot) = self.turns.get_mut(self.taken) {
@@ -87,11 +86,11 @@ impl<T: Real, const N: usize> Coning<T, N> {
             _ => turn,
         };
         let q = self.attitude * T::rotation(rotation);
-        // One Newton step for 1/√n at n = 1.
+        // One Newton step for 1/√n, at n = 1, normalizes the quaternion.
         self.attitude = q.scaled(T::of(1.5) - T::of(0.5) * q.norm_squared());
     }
 
-    /// The attitude, body to world, as of the last whole update.
+    /// Returns the attitude, body to world, as of the last complete update.
     pub fn attitude(&self) -> Quaternion<T> {
         self.attitude
     }
@@ -103,8 +102,8 @@ mod tests {
     use flight_core::geometry::vec3;
     use std::vec::Vec;
 
-    /// Coning motion (Goodman and Robinson 1958): the attitude is a turn by `a` about an axis that goes round
-    /// in the world's y-z plane at `w`. Its body rates are (−2ω sin²(a/2), −ω sin a sin ωt, ω sin a cos ωt).
+    /// Coning motion (Goodman and Robinson 1958): the attitude is a rotation by `a` about an axis that rotates in the
+    /// world's y-z plane at `w`. Its body rates are (−2ω sin²(a/2), −ω sin a sin ωt, ω sin a cos ωt).
     #[derive(Clone, Copy)]
     struct Cone {
         a: f64,
@@ -118,7 +117,7 @@ mod tests {
             Quaternion::new(c, 0.0, s * cos, s * sin)
         }
 
-        /// The integral of the body rates from `t` over `h`.
+        /// Returns the integral of the body rates from `t` over `h`.
         fn turn(self, t: f64, h: f64) -> Vec3<f64> {
             let Self { a, w } = self;
             let half = (0.5 * a).sin();
@@ -127,20 +126,20 @@ mod tests {
             vec3(-2.0 * half * half * w * h, a.sin() * (c1 - c0), a.sin() * (s1 - s0))
         }
 
-        /// Drift about x, rad/s, of an algorithm whose update of `n` samples of `h` has the cross products'
-        /// coefficients (`adjacent` of neighbours, `apart` of the first and third). In closed form: the
-        /// missing ½ ∫ α × dα is ½ sin²a (nβ − sin nβ), and the product of samples m apart is
+        /// Returns the drift about x, rad/s, of an algorithm with updates of `n` samples of `h` and these coefficients
+        /// of the cross products (`adjacent` of neighbours, `apart` of the first and third). In closed form: the
+        /// error ½ ∫ α × dα is ½ sin²a (nβ − sin nβ), and the product of samples m apart is
         /// 4 sin²(β/2) sin²a sin mβ.
         fn drift(self, n: f64, h: f64, adjacent: f64, apart: f64) -> f64 {
             let beta = self.w * h;
             let missing = 0.5 * (n * beta - (n * beta).sin());
-            let shown =
+            let estimated =
                 4.0 * (0.5 * beta).sin().powi(2) * (adjacent * beta.sin() + apart * (2.0 * beta).sin());
-            self.a.sin().powi(2) * (missing - shown) / (n * h)
+            self.a.sin().powi(2) * (missing - estimated) / (n * h)
         }
     }
 
-    /// Angle about x by which the integration of `updates` updates is off.
+    /// Returns the error angle about x after `updates` updates.
     fn error<const N: usize>(cone: Cone, h: f64, updates: u32) -> f64 {
         let mut algorithm = Coning::<f64, N>::new(cone.attitude(0.0));
         let samples = updates * N as u32;
@@ -153,7 +152,7 @@ mod tests {
     }
 
     #[test]
-    fn drifts_are_those_of_the_closed_form() {
+    fn coning_drifts_match_the_closed_form() {
         let cone = Cone { a: 0.01, w: 100.0 };
         for h in [2e-3, 4e-3] {
             let drift = |n: usize, error: f64| error / (f64::from(3_000 / n as u32) * n as f64 * h);
@@ -170,9 +169,9 @@ mod tests {
     }
 
     #[test]
-    fn the_leading_terms_are_those_of_the_table() {
+    fn leading_terms_match_the_table() {
         let cone = Cone { a: 1e-3, w: 1.0 };
-        // The same with the update ΔT = nh: (ωΔT)²/12, (ωΔT)⁴/960, (ωΔT)⁶/204,120.
+        // In terms of the update ΔT = nh: (ωΔT)²/12, (ωΔT)⁴/960, (ωΔT)⁶/204,120.
         let a2 = cone.a.sin().powi(2);
         let beta: f64 = 0.05;
         for (n, adjacent, apart, leading) in [
@@ -185,7 +184,7 @@ mod tests {
         }
     }
 
-    /// What a gyroscope integrates of a tumbling that no symmetry helps.
+    /// Returns the gyroscope's sample in a tumbling motion without symmetry.
     fn tumbling(t: f64, h: f64) -> Vec3<f64> {
         let swing = |amplitude: f64, w: f64, phase: f64| {
             amplitude * ((w * (t + h) + phase).sin() - (w * t + phase).sin())
@@ -194,7 +193,7 @@ mod tests {
     }
 
     #[test]
-    fn euler_angles_are_of_the_first_order_and_agree_with_the_quaternion() {
+    fn euler_angles_converge_to_the_quaternion_at_first_order() {
         let euler = |h: f64| {
             let mut e = EulerAngles::<f64> { angles: Vec3::ZERO };
             for k in 0..(3.0 / h) as u32 {
@@ -218,7 +217,7 @@ mod tests {
     }
 
     #[test]
-    fn f32_follows_f64() {
+    fn f32_integration_matches_f64() {
         let cone = Cone { a: 0.05, w: 60.0 };
         let (h, samples) = (1e-3, 3_000);
         let narrow = |v: Vec3<f64>| vec3(v.x as f32, v.y as f32, v.z as f32);
@@ -237,13 +236,13 @@ mod tests {
             let [w, x, y, z] = a.to_array().map(f64::from);
             2.0 * (Quaternion::new(w, x, y, z) * b.conjugate()).v.norm()
         };
-        // 3,000 roundings of 6e-8.
+        // Below the sum of 3,000 roundings of 6e-8.
         assert!(apart(short.attitude(), long.attitude()) < 2e-5);
         assert!(apart(angles.0.attitude(), angles.1.attitude()) < 2e-5);
     }
 
     #[test]
-    fn the_series_of_a_rotation_meets_the_closed_form() {
+    fn rotation_series_matches_the_closed_form() {
         for angle in [1e-9, 0.01, 0.3, 0.499, 0.501, 3.0_f64] {
             let q = f64::rotation(vec3(0.6 * angle, 0.0, 0.8 * angle));
             let (s, c) = (0.5 * angle).sin_cos();

@@ -1,13 +1,13 @@
-//! What Kestrel could fly and does not, written to be compared.
+//! Algorithms that Kestrel could fly with and does not, for comparison.
 //!
-//! Each algorithm stands here once, generic over f32 and f64 where that is the question, so that the error that
-//! a study of `sim-host` finds and the instructions that the emulated Cortex-M4F counts belong to the same code.
-//! A crate of its own, because what does not fly has no place in `flight-core`, and because the board cannot
-//! build `sim-host`. The image that flies does not depend on it.
+//! Each algorithm is written once, generic over f32 and f64 where the number format is compared. So the error that
+//! `sim-host cost` finds and the instructions counted on the emulated Cortex-M4F belong to the same code. It is a
+//! separate crate because code that does not fly does not belong in `flight-core`, and because the board cannot build
+//! `sim-host`. The flight image does not depend on it.
 #![no_std]
 #![forbid(unsafe_code)]
 #![warn(missing_docs)]
-// Tests measure against std, an independent implementation.
+// Tests compare with std, an independent implementation.
 #![cfg_attr(test, allow(clippy::disallowed_methods))]
 
 #[cfg(test)]
@@ -19,13 +19,13 @@ pub mod prefilter;
 use flight_core::arithmetic;
 use flight_core::geometry::{Quaternion, Scalar, Vec3};
 
-/// A float type with what an attitude takes: f32 by `flight-core`'s kernels, f64 by `libm`.
+/// A float type with the functions for attitudes: f32 by `flight-core`'s functions, f64 by `libm`.
 pub trait Real: Scalar {
-    /// The nearest number of this type.
+    /// Returns the nearest number of this type.
     fn of(x: f64) -> Self;
-    /// Sine and cosine.
+    /// Returns sine and cosine.
     fn sin_cos(self) -> (Self, Self);
-    /// The rotation by the vector `r` (axis times angle, rad).
+    /// Returns the rotation by the rotation vector `r` (axis times angle, rad).
     fn rotation(r: Vec3<Self>) -> Quaternion<Self>;
 }
 
@@ -53,8 +53,8 @@ impl Real for f64 {
     fn sin_cos(self) -> (f64, f64) {
         libm::sincos(self)
     }
-    /// Below a quarter radian of half-angle h the series of sin h / h and cos h to h¹² are exact to f64
-    /// (h¹⁴/14! = 4e-20).
+    /// For a half-angle h below 0.25 rad, the series of sin h / h and cos h to h¹² are exact to f64 (the next term is
+    /// h¹⁴/14! = 4e-20).
     fn rotation(r: Vec3<f64>) -> Quaternion<f64> {
         let h2 = 0.25 * r.dot(r);
         let (cos, sinc) = if h2 < 0.0625 {
@@ -71,7 +71,7 @@ impl Real for f64 {
     }
 }
 
-/// 1 − x/d₁ (1 − x/d₂ (1 − …)).
+/// Returns 1 − x/d₁ (1 − x/d₂ (1 − …)).
 #[inline(always)]
 fn series(x: f64, divisors: [f64; 6]) -> f64 {
     divisors.iter().rev().fold(1.0, |sum, divisor| 1.0 - x * (1.0 / divisor) * sum)

@@ -1,11 +1,11 @@
-//! Low-pass filters in place of the second-order Butterworth that flies.
+//! Low-pass filters to compare with the second-order Butterworth filter of the flight code.
 
 use core::f64::consts::PI;
 
 use flight_core::geometry::Vec3;
 use flight_core::prefilter::Biquad;
 
-/// First order, three axes: y += k (x − y). Flight stacks call it PT1.
+/// A first-order low-pass for three axes: y += k (x − y). Other flight stacks call it PT1.
 #[derive(Clone, Copy, Debug)]
 pub struct Pt1 {
     gain: f32,
@@ -13,10 +13,10 @@ pub struct Pt1 {
 }
 
 impl Pt1 {
-    /// A filter with its −3 dB point at `cutoff_hz`, above 0 and below half the rate.
+    /// Creates a filter with its −3 dB point at `cutoff_hz`, above 0 and below half the rate.
     ///
-    /// |H|² = k²/(1 + (1 − k)² − 2(1 − k) cos ω) is a half at k = √(v(2 + v)) − v with v = 1 − cos ω. The
-    /// common k = Δt/(Δt + 1/ω_c) is only near it.
+    /// |H|² = k²/(1 + (1 − k)² − 2(1 − k) cos ω) is 1/2 at k = √(v(2 + v)) − v with v = 1 − cos ω. The
+    /// common k = Δt/(Δt + 1/ω_c) is an approximation of it.
     pub fn new(cutoff_hz: f64, rate_hz: f64) -> Self {
         let half = libm::sin(PI * cutoff_hz / rate_hz);
         let v = 2.0 * half * half;
@@ -31,8 +31,8 @@ impl Pt1 {
     }
 }
 
-/// The two sections of a fourth-order Butterworth low-pass with its −3 dB point at `cutoff_hz`, above 0 and below
-/// half the rate. Their poles lie at 22.5° and 67.5° from the real axis: 1/Q is 2 cos of that.
+/// Returns the two sections of a fourth-order Butterworth low-pass with its −3 dB point at `cutoff_hz`, above 0 and
+/// below half the rate. Their poles lie at 22.5° and 67.5° from the real axis; 1/Q is twice the cosine of that angle.
 pub fn butterworth_4(cutoff_hz: f64, rate_hz: f64) -> [Biquad; 2] {
     [PI / 8.0, 3.0 * PI / 8.0].map(|angle| {
         let k = libm::tan(PI * cutoff_hz / rate_hz);
@@ -51,7 +51,7 @@ mod tests {
     use flight_core::geometry::vec3;
     use flight_core::prefilter::Prefilter;
 
-    /// Amplitude of what a filter makes of a sine of amplitude 1, once it has settled.
+    /// Returns the amplitude of the settled output for a sine of amplitude 1.
     fn gain(hz: f64, rate_hz: f64, mut filter: impl FnMut(Vec3<f32>) -> Vec3<f32>) -> f64 {
         let w = 2.0 * PI * hz / rate_hz;
         let (mut i, mut q) = (0.0, 0.0);
@@ -68,14 +68,14 @@ mod tests {
     }
 
     #[test]
-    fn half_the_power_at_the_cutoff_and_the_slope_beyond() {
+    fn filters_have_half_power_at_cutoff_and_their_slope_beyond() {
         for (cutoff, rate) in [(50.0, 1000.0), (100.0, 1000.0), (200.0, 8000.0)] {
             let mut pt1 = Pt1::new(cutoff, rate);
             let amplitude = gain(cutoff, rate, |x| pt1.step(x));
             assert!((amplitude - 0.5_f64.sqrt()).abs() < 1e-4, "PT1 {cutoff} of {rate}: {amplitude}");
             for (factor, expected) in [
                 (1.0, 0.5_f64.sqrt()),
-                // The bilinear transform bends the frequency to tan(πf/fs): a Butterworth of that ratio.
+                // The bilinear transform maps the frequency to tan(πf/fs); expected is a Butterworth of that ratio.
                 (
                     2.0,
                     (1.0 + ((2.0 * PI * cutoff / rate).tan() / (PI * cutoff / rate).tan()).powi(8))

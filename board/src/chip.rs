@@ -1,11 +1,11 @@
-//! What an STM32F405RG connects to which pin, and which DMA stream serves whom.
+//! The STM32F405RG's connections of signals to pins, and of DMA streams to peripherals.
 //!
-//! Pins: data sheet DS8626, table 9. DMA: reference manual RM0090, tables 42 and 43. The firmware's build holds both to the
-//! tables of `stm32f4xx-hal`: a pin or a stream that is not in them does not compile.
+//! Pins: data sheet DS8626, table 9. DMA: reference manual RM0090, tables 42 and 43. The firmware's build compares the
+//! used entries with the tables of `stm32f4xx-hal`: a pin or a stream that they do not have does not compile.
 
 use crate::Pin;
 
-/// A signal of a peripheral, and how a pin gets it.
+/// A signal of a peripheral, with the pins that can carry it.
 struct Signal {
     /// Peripheral and signal: `SPI1.SCK`.
     name: (&'static str, &'static str),
@@ -24,7 +24,7 @@ const fn signal(
     Signal { name: (peripheral, signal), function, pins }
 }
 
-/// Of the package with 64 pins: ports A to C, and PD2.
+/// The signals in the package with 64 pins: ports A to C, and PD2.
 const SIGNALS: &[Signal] = &[
     signal("TIM1", "CH1", 1, &["PA8"]),
     signal("TIM1", "CH1N", 1, &["PA7", "PB13"]),
@@ -69,16 +69,17 @@ const SIGNALS: &[Signal] = &[
     signal("USART6", "RX", 8, &["PC7"]),
 ];
 
-/// The pins that ADC1 measures, by their channel.
+/// The pins with a channel of ADC1, by channel number.
 const ANALOG: [&str; 16] = [
     "PA0", "PA1", "PA2", "PA3", "PA4", "PA5", "PA6", "PA7", "PB0", "PB1", "PC0", "PC1", "PC2", "PC3", "PC4",
     "PC5",
 ];
 
-/// The debug probe's pins: without them nothing can be flashed any more but through the boot loader.
+/// The debug probe's pins: without them, the chip can only be flashed through the boot loader.
 pub const DEBUG: [&str; 2] = ["PA13", "PA14"];
 
-/// Timers whose update DMA serves, each with stream and channel. TIM5, which has one too, counts the firmware's time.
+/// Motor timers with the DMA streams and channels of their update event. TIM5 also has one, but counts the firmware's
+/// time.
 const UPDATES: &[(&str, Stream)] = &[
     ("TIM1", Stream { controller: 2, number: 5, channel: 6 }),
     ("TIM2", Stream { controller: 1, number: 1, channel: 3 }),
@@ -88,59 +89,60 @@ const UPDATES: &[(&str, Stream)] = &[
     ("TIM8", Stream { controller: 2, number: 1, channel: 7 }),
 ];
 
-/// Reception comes first: its end is the vector to which the firmware's control loop is bound.
+/// DMA streams of SPI1: first for reception, then for transmission. The firmware's control loop is bound to the vector
+/// of the reception.
 const SPI1: [&[Stream]; 2] = [
     &[Stream { controller: 2, number: 0, channel: 3 }],
     &[Stream { controller: 2, number: 3, channel: 3 }, Stream { controller: 2, number: 5, channel: 3 }],
 ];
 
-/// A stream of a DMA controller, on the channel by which a peripheral asks for it.
+/// A stream of a DMA controller, with the request channel of its peripheral.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Stream {
-    /// 1 or 2.
+    /// Number of the controller, 1 or 2.
     pub controller: u8,
-    /// 0 to 7.
+    /// Number of the stream, 0 to 7.
     pub number: u8,
-    /// 0 to 7.
+    /// Request channel, 0 to 7.
     pub channel: u8,
 }
 
-/// A need for a stream, and the streams that can serve it, the preferred one first.
+/// A request for a stream, with the streams that can serve it.
 #[derive(Clone, Debug)]
-pub struct Need {
-    /// For people: `TIM1 update`.
-    pub who: String,
-    /// The choice.
-    pub choice: Vec<Stream>,
+pub struct StreamRequest {
+    /// Name for error messages, such as `TIM1 update`.
+    pub name: String,
+    /// The streams that can serve it, the preferred one first.
+    pub options: Vec<Stream>,
 }
 
-/// What a motor timer needs.
-pub fn update_of(timer: &str) -> Need {
-    let choice = UPDATES.iter().filter(|(name, _)| *name == timer).map(|(_, stream)| *stream).collect();
-    Need { who: format!("{timer} update"), choice }
+/// Returns the request of a motor timer.
+pub fn timer_request(timer: &str) -> StreamRequest {
+    let options = UPDATES.iter().filter(|(name, _)| *name == timer).map(|(_, stream)| *stream).collect();
+    StreamRequest { name: format!("{timer} update"), options }
 }
 
-/// What SPI1 needs, to receive and to send.
-pub fn spi1() -> [Need; 2] {
+/// Returns the requests of SPI1, for reception and transmission.
+pub fn spi1_requests() -> [StreamRequest; 2] {
     let [receive, send] = SPI1;
     [
-        Need { who: "SPI1 receive".into(), choice: receive.into() },
-        Need { who: "SPI1 send".into(), choice: send.into() },
+        StreamRequest { name: "SPI1 receive".into(), options: receive.into() },
+        StreamRequest { name: "SPI1 send".into(), options: send.into() },
     ]
 }
 
-/// Gives each need a stream of its own, the needs in their order as far as that is possible.
+/// Assigns a different stream to each request; earlier requests get their preferred stream if possible.
 ///
 /// # Errors
-/// It is not: the two that want the same, and the stream.
-pub fn assign(needs: &[Need]) -> Result<Vec<Stream>, String> {
-    /// The streams of `needs`, if none is taken twice.
-    fn rest(needs: &[Need], taken: &mut Vec<Stream>) -> bool {
-        let [need, others @ ..] = needs else { return true };
-        need.choice.iter().any(|stream| {
-            let free = !taken.iter().any(|other| same(other, stream));
+/// No assignment exists: the error names two conflicting requests and their stream.
+pub fn assign(requests: &[StreamRequest]) -> Result<Vec<Stream>, String> {
+    /// Assigns streams to `requests` that are not in `taken`, and returns whether that is possible.
+    fn assign_rest(requests: &[StreamRequest], taken: &mut Vec<Stream>) -> bool {
+        let [request, others @ ..] = requests else { return true };
+        request.options.iter().any(|stream| {
+            let free = !taken.iter().any(|other| same_stream(other, stream));
             taken.push(*stream);
-            let fits = free && rest(others, taken);
+            let fits = free && assign_rest(others, taken);
             if !fits {
                 taken.pop();
             }
@@ -148,33 +150,34 @@ pub fn assign(needs: &[Need]) -> Result<Vec<Stream>, String> {
         })
     }
     let mut taken = Vec::new();
-    if rest(needs, &mut taken) {
+    if assign_rest(requests, &mut taken) {
         return Ok(taken);
     }
-    // For people: the first one for which nothing is left.
+    // For the error: find the first request whose streams are all taken.
     let mut owners: Vec<(&str, Stream)> = Vec::new();
-    for need in needs {
-        let wanted = |stream: &Stream| owners.iter().find(|(_, other)| same(other, stream));
-        match need.choice.iter().find(|stream| wanted(stream).is_none()) {
-            Some(stream) => owners.push((&need.who, *stream)),
+    for request in requests {
+        let owner = |stream: &Stream| owners.iter().find(|(_, other)| same_stream(other, stream));
+        match request.options.iter().find(|stream| owner(stream).is_none()) {
+            Some(stream) => owners.push((&request.name, *stream)),
             None => {
-                let clash = need.choice.iter().find_map(|stream| Some((stream, wanted(stream)?.0)));
+                let clash = request.options.iter().find_map(|stream| Some((stream, owner(stream)?.0)));
                 let Some((stream, other)) = clash else { break };
                 return Err(format!(
-                    "DMA{} stream {} is needed by {other} and by {}",
-                    stream.controller, stream.number, need.who
+                    "{other} and {} need the same DMA{} stream {}",
+                    request.name, stream.controller, stream.number
                 ));
             }
         }
     }
-    Err("has more needs for DMA than there are streams".into())
+    Err("needs more DMA streams than the chip has".into())
 }
 
-fn same(one: &Stream, other: &Stream) -> bool {
+fn same_stream(one: &Stream, other: &Stream) -> bool {
     (one.controller, one.number) == (other.controller, other.number)
 }
 
-/// Number of the alternate function by which `pin` carries `peripheral`'s `signal`; or the pins that do.
+/// Returns the number of the alternate function with which `pin` carries `peripheral`'s `signal`; otherwise the pins
+/// that can.
 pub fn function(pin: Pin, peripheral: &str, signal: &str) -> Result<u8, Vec<&'static str>> {
     let name = pin.to_string();
     let found: Vec<&Signal> =
@@ -185,7 +188,7 @@ pub fn function(pin: Pin, peripheral: &str, signal: &str) -> Result<u8, Vec<&'st
     }
 }
 
-/// The channel of `timer` at `pin`: 1 to 4, and whether it is the complementary output; with the alternate function.
+/// Returns the channel of `timer` at `pin`, 1 to 4; whether it is the complementary output; and the alternate function.
 pub fn timer_channel(pin: Pin, timer: &str) -> Option<(u8, bool, u8)> {
     let name = pin.to_string();
     SIGNALS.iter().find(|signal| signal.name.0 == timer && signal.pins.contains(&name.as_str())).map(
@@ -196,21 +199,21 @@ pub fn timer_channel(pin: Pin, timer: &str) -> Option<(u8, bool, u8)> {
     )
 }
 
-/// The motor timers with a channel at `pin`.
+/// Returns the motor timers with a channel at `pin`.
 pub fn timers_at(pin: Pin) -> Vec<&'static str> {
     let name = pin.to_string();
     let timers = SIGNALS.iter().filter(|signal| signal.name.0.starts_with("TIM"));
     timers.filter(|signal| signal.pins.contains(&name.as_str())).map(|signal| signal.name.0).collect()
 }
 
-/// All motor timers.
+/// Returns all motor timers.
 pub fn timers() -> Vec<&'static str> {
     let mut names: Vec<&str> = UPDATES.iter().map(|(name, _)| *name).collect();
     names.dedup();
     names
 }
 
-/// Peripherals with `signal`, whose name begins with one of `kinds`.
+/// Returns the peripherals that have `signal`, and whose names begin with one of `kinds`.
 pub fn peripherals(kinds: &[&str], signal: &str) -> Vec<&'static str> {
     let found = SIGNALS
         .iter()
@@ -219,13 +222,13 @@ pub fn peripherals(kinds: &[&str], signal: &str) -> Vec<&'static str> {
     found.map(|(name, _)| name).collect()
 }
 
-/// Channel of ADC1 at `pin`.
+/// Returns the channel of ADC1 at `pin`.
 pub fn analog_channel(pin: Pin) -> Option<u8> {
     let name = pin.to_string();
     ANALOG.iter().position(|candidate| *candidate == name).map(|channel| channel as u8)
 }
 
-/// The vector of an external interrupt line (RM0090, table 61).
+/// Returns the vector of an external interrupt line (RM0090, table 61).
 pub fn line_vector(line: u8) -> &'static str {
     match line {
         0 => "EXTI0",

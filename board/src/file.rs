@@ -64,13 +64,13 @@ pub struct Led {
     pub on_level: OnLevel,
 }
 
-/// The level that lights the LED.
+/// The level at which the LED lights.
 #[derive(Clone, Copy, Debug, Deserialize, PartialEq, Eq)]
 #[serde(rename_all = "kebab-case")]
 pub enum OnLevel {
-    /// Low.
+    /// The LED lights at a low level.
     Low,
-    /// High.
+    /// The LED lights at a high level.
     High,
 }
 

@@ -1,9 +1,9 @@
-//! The firmware's wiring: constants, the peripherals and pins by what they are for, and the handlers of the interrupts
-//! whose vectors depend on the board.
+//! Generator of the firmware's wiring: constants, the peripherals and pins by purpose, and the interrupt handlers whose
+//! vectors depend on the board.
 //!
-//! The text is as small as it can be: what the constants mean, and what is done with them, is in
-//! `firmware/src/stm32f405`. Each pin and each DMA stream stands in it a second time, as a type that only exists if the
-//! tables of `stm32f4xx-hal` have that connection, too.
+//! The generated text is as small as possible: `firmware/src/stm32f405` documents the constants and uses them. Each pin
+//! and each DMA stream also appears as a type that exists only if the tables of `stm32f4xx-hal` have the same
+//! connection.
 
 use std::fmt::Write as _;
 
@@ -11,8 +11,8 @@ use input::axes::Axes;
 
 use crate::{Board, Connection, Motor, OnLevel, Pin, Stream, Timer};
 
-/// First channel that DMA writes, counted from 0, and how many pairs of channels: the two side by side that have all
-/// pads of the timer, or all four.
+/// Returns the first channel that DMA writes, counted from 0, and the number of channel pairs: the two neighbouring
+/// channels that include all pads of the timer, or all four channels.
 fn channels(timer: &Timer, motors: &[Motor; 4]) -> (u8, u8) {
     let used = motors.iter().filter(|motor| motor.connection.peripheral == timer.name);
     let used: Vec<u8> = used.map(|motor| motor.channel - 1).collect();
@@ -22,7 +22,7 @@ fn channels(timer: &Timer, motors: &[Motor; 4]) -> (u8, u8) {
     }
 }
 
-/// The letters of the pins' ports.
+/// Returns the letters of the pins' ports, sorted.
 fn ports(pins: impl Iterator<Item = Pin>) -> Vec<char> {
     let mut letters: Vec<char> = pins.map(|pin| char::from(b'A' + pin.port)).collect();
     letters.sort_unstable();
@@ -30,7 +30,7 @@ fn ports(pins: impl Iterator<Item = Pin>) -> Vec<char> {
     letters
 }
 
-/// `pa5`
+/// Returns the pin's field name: `pa5`.
 fn field(pin: Pin) -> String {
     pin.to_string().to_lowercase()
 }
@@ -51,7 +51,7 @@ fn matrix(axes: &Axes) -> String {
     format!("Mat3 {{ rows: [{}] }}", rows.join(", "))
 }
 
-/// A function that calls `pac::NAME::METHOD_unchecked` for each name.
+/// Writes a function that calls `pac::NAME::METHOD_unchecked` for each name.
 fn unchecked(
     out: &mut String,
     function: &str,
@@ -60,7 +60,7 @@ fn unchecked(
     names: &[impl std::fmt::Display],
 ) -> std::fmt::Result {
     writeln!(out, "/// # Safety\n/// {safety}\npub unsafe fn {function}() {{")?;
-    writeln!(out, "    // SAFETY: the caller's.\n    unsafe {{")?;
+    writeln!(out, "    // SAFETY: the caller meets the condition above.\n    unsafe {{")?;
     for name in names {
         writeln!(out, "        pac::{name}::{method}_unchecked();")?;
     }
@@ -68,10 +68,10 @@ fn unchecked(
 }
 
 impl Board {
-    /// The text of the firmware's `wiring` module.
+    /// Returns the text of the firmware's `wiring` module.
     pub fn wiring(&self) -> String {
         let mut text = String::new();
-        // Writing to a string does not fail.
+        // Writing to a string cannot fail.
         self.write(&mut text).ok();
         text
     }
@@ -110,7 +110,7 @@ impl Board {
         writeln!(out, "pub const LED_ON: PinState = PinState::{on_level:?};")?;
         self.write_motors(out)?;
         self.write_parts(out)?;
-        self.write_proofs(out)?;
+        self.write_checks(out)?;
         writeln!(out, "#[interrupt]\nfn {vector}() {{\n    data_ready();\n}}")?;
         writeln!(out, "#[interrupt]\nfn {serial}() {{\n    receive();\n}}")
     }
@@ -148,14 +148,20 @@ impl Board {
             self.timers.iter().map(|timer| format!("DMA{}", timer.stream.controller)).collect();
         controllers.sort();
         controllers.dedup();
-        let timers = "Nobody else uses the timers.";
+        let timers = "The caller must be the only user of the timers.";
         let clocked: Vec<&str> =
             names.iter().copied().chain(controllers.iter().map(String::as_str)).collect();
         unchecked(out, "enable_motor_timers", timers, "enable", &clocked)?;
         unchecked(out, "reset_motor_timers", timers, "reset", &names)?;
         let ports = ports(self.motors.iter().map(|motor| motor.connection.pin));
         let ports: Vec<String> = ports.into_iter().map(|letter| format!("GPIO{letter}")).collect();
-        unchecked(out, "enable_motor_ports", "Nobody else uses the ports.", "enable", &ports)?;
+        unchecked(
+            out,
+            "enable_motor_ports",
+            "The caller must be the only user of the ports.",
+            "enable",
+            &ports,
+        )?;
         writeln!(out, "pub fn hold_motor_timers_in_debug_halts(debug: &pac::DBGMCU) {{")?;
         for name in &names {
             let freeze = if advanced(name) { "apb2_fz" } else { "apb1_fz" };
@@ -165,7 +171,8 @@ impl Board {
         writeln!(out, "}}")
     }
 
-    /// The peripherals and pins by what they are for: what is named twice would be moved twice.
+    /// Writes the struct of the peripherals and pins by purpose. A second use of the same one would not compile,
+    /// because it would be moved twice.
     fn write_parts(&self, out: &mut String) -> std::fmt::Result {
         let imu = &self.imu;
         let [sck, miso, mosi] = &imu.bus;
@@ -203,13 +210,13 @@ impl Board {
         for (name, pin) in pins {
             writeln!(out, "    pub {name}: gpio::{pin},")?;
         }
-        // Of a board without a LED it is any pin's type, of which there is none.
+        // Without an LED the option is always `None`, and its type may be that of any pin.
         let led = self.led.map_or(imu.select, |led| led.pin);
         writeln!(out, "    pub led: Option<gpio::{led}>,")?;
         let motor_pins: Vec<String> =
             self.motors.iter().map(|motor| format!("gpio::{}", motor.connection.pin)).collect();
         writeln!(out, "    pub _motors: ({}),", motor_pins.join(", "))?;
-        writeln!(out, "}}\npub fn sort(device: pac::Peripherals) -> (Rcc, Parts) {{")?;
+        writeln!(out, "}}\npub fn split(device: pac::Peripherals) -> (Rcc, Parts) {{")?;
         writeln!(out, "    let mut rcc = device.RCC.constrain();")?;
         let all = pins
             .map(|(_, pin)| pin)
@@ -227,7 +234,7 @@ impl Board {
         }
         let taken = |pin: Pin| {
             let letter = char::from(b'a' + pin.port);
-            // After a reset these are the debug port's, of a probe that speaks JTAG.
+            // After a reset these pins belong to the JTAG debug port.
             let jtag = ["PA15", "PB3", "PB4"].contains(&pin.to_string().as_str());
             format!("gpio{letter}.{}{}", field(pin), if jtag { ".into_floating_input()" } else { "" })
         };
@@ -256,8 +263,8 @@ impl Board {
         writeln!(out, "    pac::{}::enable(rcc);\n}}", scl.peripheral)
     }
 
-    /// What the hardware abstraction layer's own tables say to it.
-    fn write_proofs(&self, out: &mut String) -> std::fmt::Result {
+    /// Writes checks of the connections against the tables of the hardware abstraction layer.
+    fn write_checks(&self, out: &mut String) -> std::fmt::Result {
         let [sck, miso, mosi] = &self.imu.bus;
         let camel = |text: &str| {
             let mut letters = text.chars();
@@ -266,7 +273,7 @@ impl Board {
         };
         let fits = |connection: &Connection, signal: &str| {
             let module = connection.peripheral.to_lowercase();
-            format!("    fits::<gpio::{}, gpio::alt::{module}::{signal}>();", connection.pin)
+            format!("    pin_has_signal::<gpio::{}, gpio::alt::{module}::{signal}>();", connection.pin)
         };
         writeln!(out, "const _: () = {{")?;
         for connection in [sck, miso, mosi, &self.magnetometer.scl, &self.magnetometer.sda, &self.receiver] {
@@ -279,7 +286,7 @@ impl Board {
         let mut served = |peripheral: &str, stream: Stream, direction: &str| {
             writeln!(
                 out,
-                "    served::<{peripheral}, dma::Stream{}<pac::DMA{}>, {}, dma::{direction}>();",
+                "    stream_serves::<{peripheral}, dma::Stream{}<pac::DMA{}>, {}, dma::{direction}>();",
                 stream.number, stream.controller, stream.channel
             )
         };

@@ -1,12 +1,13 @@
-//! A flight board as a file (`boards/NAME.toml`): read, checked against what the chip can, and resolved.
+//! A flight board as a file (`boards/NAME.toml`): parser, check against the chip's tables, and resolution of everything
+//! that follows.
 //!
 //! ```text
 //!  boards/NAME.toml ─► Board ─┬─► wiring.rs: constants and interrupt handlers of the firmware (its build)
-//!                             └─► what the emulator solders to its model of the chip
+//!                             └─► the connections of the emulator's chip model
 //! ```
-//! The file says what the board's maker has decided: pins, peripherals, how the sensor lies, the battery's divider. What
-//! follows from that and the chip is found here: alternate functions, timer channels, DMA streams, interrupt vectors. What
-//! can't be is refused, by name.
+//! The file has the choices of the board's maker: pins, peripherals, orientation of the IMU, ratio of the battery's
+//! divider. This crate derives the rest from the chip's tables: alternate functions, timer channels, DMA streams,
+//! interrupt vectors. An impossible connection is an error that names its field.
 #![forbid(unsafe_code)]
 #![warn(missing_docs)]
 
@@ -21,7 +22,7 @@ use std::path::Path;
 use input::InputError;
 use input::axes::Axes;
 use input::check::{in_range, unknown};
-use input::layers::{Layers, built_in_or_file, text_of};
+use input::layers::{Layers, built_in_or_file, read_text};
 
 pub use chip::Stream;
 pub use file::OnLevel;
@@ -35,32 +36,32 @@ macro_rules! boards {
 /// The built-in boards: name and text.
 pub const BUILT_IN: &[(&str, &str)] = boards!["speedybee-f405-v4", "speedybee-f405-mini", "matek-f405-te"];
 
-/// The board of an image that is built without saying which.
+/// The board of an image that is built without naming one.
 pub const DEFAULT: &str = BUILT_IN[0].0;
 
-/// Longest name of a board's file, without its suffix: what is read of an image's name.
-const LONGEST_NAME: usize = 63;
+/// Longest name of a board's file, without its suffix: the limit for readers of the image's name.
+const MAX_NAME_LEN: usize = 63;
 
-/// The motor pads, in the order in which the firmware counts them.
+/// The motor pads, in the firmware's order.
 pub const PADS: [&str; 4] = ["M1", "M2", "M3", "M4"];
 
-/// The rotors, in the order in which the flight controller counts them.
+/// The rotors, in the flight controller's order.
 pub const ROTORS: [&str; 4] = ["front-left", "front-right", "rear-right", "rear-left"];
 
 /// A pin of the chip.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Pin {
-    /// Port, 0 for A.
+    /// Port: 0 for A, 3 for D.
     pub port: u8,
-    /// 0 to 15.
+    /// Number in the port, 0 to 15.
     pub number: u8,
 }
 
 impl Pin {
-    /// A pin by its name, such as `PA5`; of the package with 64 pins.
+    /// Parses a pin name such as `PA5`, for the package with 64 pins.
     ///
     /// # Errors
-    /// No such pin.
+    /// The package has no such pin.
     pub fn parse(field: &str, name: &str) -> Result<Self, InputError> {
         let pin = name.strip_prefix('P').and_then(|rest| {
             let (port, number) = rest.split_at_checked(1)?;
@@ -80,146 +81,146 @@ impl fmt::Display for Pin {
     }
 }
 
-/// A pin on a peripheral's signal.
+/// A pin connected to a peripheral's signal.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Connection {
     /// The pin.
     pub pin: Pin,
-    /// Peripheral, as the reference manual calls it.
+    /// The peripheral's name in the reference manual.
     pub peripheral: String,
-    /// Its signal.
+    /// The peripheral's signal.
     pub signal: &'static str,
     /// Number of the pin's alternate function.
     pub function: u8,
 }
 
-/// The inertial sensor.
+/// The IMU's connections.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Imu {
-    /// Clock, data in and data out.
+    /// SCK, MISO and MOSI.
     pub bus: [Connection; 3],
-    /// Chip select, low when selected.
+    /// Chip select, active low.
     pub select: Pin,
-    /// Chip selects of other chips on its bus, which are never selected.
+    /// Chip selects of other chips on the same bus, which are kept inactive.
     pub deselect: Vec<Pin>,
-    /// Its data-ready line, high.
+    /// The data-ready line, active high.
     pub ready: Pin,
-    /// DMA that receives and that sends.
+    /// DMA streams for reception and transmission.
     pub streams: [Stream; 2],
-    /// Where its x, y and z point on the board.
+    /// Directions of the chip's x, y and z axes on the board.
     pub axes: Axes,
 }
 
-/// Where a magnetometer can be plugged in.
+/// The magnetometer's bus.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Magnetometer {
-    /// Clock.
+    /// The clock line.
     pub scl: Connection,
-    /// Data.
+    /// The data line.
     pub sda: Connection,
 }
 
-/// The battery's divider.
+/// The measurement of the battery voltage.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Battery {
-    /// The pin behind it.
+    /// The pin behind the divider.
     pub pin: Pin,
-    /// Its channel of ADC1.
+    /// The pin's channel of ADC1.
     pub channel: u8,
-    /// Volts of the battery for one at the pin.
+    /// Ratio of the divider: battery voltage over pin voltage.
     pub ratio: f64,
 }
 
 /// The LED.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Led {
-    /// Its pin.
+    /// The LED's pin.
     pub pin: Pin,
-    /// The level that lights it.
+    /// The level at which the LED lights.
     pub on_level: OnLevel,
 }
 
 /// A motor pad.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Motor {
-    /// Its name on the board.
+    /// The pad's name on the board.
     pub pad: &'static str,
-    /// Its pin on the timer's channel.
+    /// The pad's pin on the timer's channel.
     pub connection: Connection,
-    /// 1 to 4.
+    /// Channel of the timer, 1 to 4.
     pub channel: u8,
-    /// It is the channel's complementary output.
+    /// Whether it is the channel's complementary output.
     pub complementary: bool,
-    /// The rotor whose ESC is plugged there: a place in [`ROTORS`].
+    /// The rotor whose ESC is connected to the pad: an index into [`ROTORS`].
     pub rotor: usize,
 }
 
 /// A timer with motor pads.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Timer {
-    /// As the reference manual calls it.
+    /// The timer's name in the reference manual.
     pub name: String,
-    /// DMA that plays its frames.
+    /// DMA stream that sends its frames.
     pub stream: Stream,
 }
 
 /// A board.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Board {
-    /// Name of a built-in board, or the file's.
+    /// Name of a built-in board, or the file's name without suffix.
     pub name: String,
-    /// For people.
+    /// The board's full name, for the log.
     pub title: String,
-    /// Whose pin maps these are.
+    /// Sources of the pin assignment.
     pub sources: Vec<String>,
-    /// High-speed crystal, MHz.
+    /// Frequency of the high-speed crystal, MHz.
     pub crystal_mhz: u32,
-    /// The inertial sensor.
+    /// The IMU.
     pub imu: Imu,
     /// The magnetometer's bus.
     pub magnetometer: Magnetometer,
-    /// Where the receiver's bytes come in.
+    /// The receiver's RX connection.
     pub receiver: Connection,
-    /// The battery.
+    /// The battery measurement.
     pub battery: Battery,
     /// The LED, if there is one.
     pub led: Option<Led>,
     /// The motor pads, in the order of [`PADS`].
     pub motors: [Motor; 4],
-    /// Their timers, in the order in which the firmware starts them: the last one is that of the last pad.
+    /// The pads' timers, in the order in which the firmware starts them: that of the last pad comes last.
     pub timers: Vec<Timer>,
 }
 
 impl Board {
-    /// A built-in board by name, or a board file by path.
+    /// Loads a built-in board by name, or a board file by path.
     ///
     /// # Errors
-    /// A name that is neither, with the nearest built-in one; anything wrong in the file.
+    /// A name that is neither, with the nearest built-in one; any error in the file.
     pub fn load(name_or_path: &str) -> Result<Self, InputError> {
-        let (place, text) = built_in_or_file("board", BUILT_IN, name_or_path, Path::new(""), &text_of)
+        let (place, text) = built_in_or_file("board", BUILT_IN, name_or_path, Path::new(""), &read_text)
             .map_err(|(path, error)| InputError::new(format!("cannot be read: {error}")).file(path))?
             .ok_or_else(|| unknown("board", name_or_path, BUILT_IN.iter().map(|board| board.0)))?;
         // A built-in name has no suffix.
         let name = Path::new(name_or_path).file_stem().map_or("".into(), |stem| stem.to_string_lossy());
         let plain = |c: char| c.is_ascii_alphanumeric() || "-_.".contains(c);
-        if !name.chars().all(plain) || name.len() > LONGEST_NAME {
+        if !name.chars().all(plain) || name.len() > MAX_NAME_LEN {
             let allowed = format!(
-                "the file's name must be of at most {LONGEST_NAME} letters, digits, -, _ and dots: it is the image's name"
+                "the file's name must have at most {MAX_NAME_LEN} characters: letters, digits, `-`, `_` and `.` (it is part of the image's name)"
             );
             return Err(InputError::new(allowed).file(place));
         }
         Self::parse(&name, &place, &text)
     }
 
-    /// The interrupt vector of the inertial sensor's data-ready line.
+    /// Returns the interrupt vector of the IMU's data-ready line.
     pub fn ready_vector(&self) -> &'static str {
         chip::line_vector(self.imu.ready.number)
     }
 
-    /// Reads a board called `name` from TOML; `place` is what errors call the text.
+    /// Parses a board called `name` from TOML; errors refer to the text as `place`.
     ///
     /// # Errors
-    /// Anything wrong in the text.
+    /// Any error in the text.
     pub fn parse(name: &str, place: &str, text: &str) -> Result<Self, InputError> {
         let mut layers = Layers::default();
         let table = layers.add(place, text)?;
@@ -228,21 +229,21 @@ impl Board {
     }
 }
 
-/// What each pin is for, so that none is for two things.
+/// The field that uses each pin, so that no pin is used twice.
 #[derive(Default)]
 struct Pins(BTreeMap<Pin, String>);
 
 impl Pins {
-    fn take(&mut self, field: &str, name: &str) -> Result<Pin, InputError> {
+    fn claim(&mut self, field: &str, name: &str) -> Result<Pin, InputError> {
         let pin = Pin::parse(field, name)?;
         if chip::DEBUG.contains(&name) {
-            return Err(InputError::new("is a pin of the debug probe, which would lose the board")
+            return Err(InputError::new("must not be a pin of the debug probe (PA13, PA14)")
                 .field(field)
                 .value(name));
         }
         match self.0.insert(pin, field.into()) {
             None => Ok(pin),
-            Some(other) => Err(InputError::new(format!("is {other}'s pin already")).field(field).value(name)),
+            Some(other) => Err(InputError::new(format!("already used by {other}")).field(field).value(name)),
         }
     }
 
@@ -253,9 +254,9 @@ impl Pins {
         peripheral: &str,
         signal: &'static str,
     ) -> Result<Connection, InputError> {
-        let pin = self.take(field, name)?;
+        let pin = self.claim(field, name)?;
         let function = chip::function(pin, peripheral, signal).map_err(|pins| {
-            let allowed = format!("is not {signal} of {peripheral}, which is at {}", pins.join(", "));
+            let allowed = format!("must be a pin with {signal} of {peripheral}: {}", pins.join(", "));
             InputError::new(allowed).field(field).value(name)
         })?;
         Ok(Connection { pin, peripheral: peripheral.into(), signal, function })
@@ -270,7 +271,7 @@ fn build(name: &str, file: file::File) -> Result<Board, InputError> {
     if file.imu.chip != "icm-42688-p" {
         return Err(unknown("imu.chip", &file.imu.chip, ["icm-42688-p"]));
     }
-    // The control loop is bound to the end of its bursts.
+    // The firmware's control loop is bound to the end of SPI1's bursts.
     if file.imu.spi != "SPI1" {
         return Err(unknown("imu.spi", &file.imu.spi, ["SPI1"]));
     }
@@ -281,10 +282,10 @@ fn build(name: &str, file: file::File) -> Result<Board, InputError> {
         pins.connect("imu.miso", &file.imu.miso, spi, "MISO")?,
         pins.connect("imu.mosi", &file.imu.mosi, spi, "MOSI")?,
     ];
-    let select = pins.take("imu.select", &file.imu.select)?;
+    let select = pins.claim("imu.select", &file.imu.select)?;
     let others = file.imu.deselect.iter();
-    let deselect = others.map(|name| pins.take("imu.deselect", name)).collect::<Result<_, _>>()?;
-    let ready = pins.take("imu.ready", &file.imu.ready)?;
+    let deselect = others.map(|name| pins.claim("imu.deselect", name)).collect::<Result<_, _>>()?;
+    let ready = pins.claim("imu.ready", &file.imu.ready)?;
     let axes = Axes::parse("imu.axes", &file.imu.axes)?;
 
     let one_of = |field: &str, value: &str, kinds: &[&str], signal: &str| {
@@ -299,16 +300,16 @@ fn build(name: &str, file: file::File) -> Result<Board, InputError> {
     one_of("receiver.serial", &file.receiver.serial, &["USART", "UART"], "RX")?;
     let receiver = pins.connect("receiver.rx", &file.receiver.rx, &file.receiver.serial, "RX")?;
 
-    let pin = pins.take("battery.pin", &file.battery.pin)?;
+    let pin = pins.claim("battery.pin", &file.battery.pin)?;
     let channel = chip::analog_channel(pin).ok_or_else(|| {
-        InputError::new("must be a pin that ADC1 measures: PA0 to PA7, PB0, PB1, PC0 to PC5")
+        InputError::new("must be a pin with an ADC1 channel: PA0 to PA7, PB0, PB1, PC0 to PC5")
             .field("battery.pin")
             .value(&file.battery.pin)
     })?;
-    in_range("battery.ratio", file.battery.ratio, 1.0, 50.0, "V for one at the pin")?;
+    in_range("battery.ratio", file.battery.ratio, 1.0, 50.0, "V/V")?;
     let battery = Battery { pin, channel, ratio: file.battery.ratio };
     let led = match &file.led {
-        Some(led) => Some(Led { pin: pins.take("led.pin", &led.pin)?, on_level: led.on_level }),
+        Some(led) => Some(Led { pin: pins.claim("led.pin", &led.pin)?, on_level: led.on_level }),
         None => None,
     };
 
@@ -319,8 +320,8 @@ fn build(name: &str, file: file::File) -> Result<Board, InputError> {
             names.push(&motor.connection.peripheral);
         }
     }
-    let updates = names.iter().map(|timer| chip::update_of(timer));
-    let needs: Vec<chip::Need> = chip::spi1().into_iter().chain(updates).collect();
+    let updates = names.iter().map(|timer| chip::timer_request(timer));
+    let needs: Vec<chip::StreamRequest> = chip::spi1_requests().into_iter().chain(updates).collect();
     let streams = chip::assign(&needs).map_err(InputError::new)?;
     let timers = names.iter().zip(&streams[2..]);
     let timers = timers.map(|(name, stream)| Timer { name: (*name).into(), stream: *stream }).collect();
@@ -340,7 +341,7 @@ fn build(name: &str, file: file::File) -> Result<Board, InputError> {
     })
 }
 
-/// The motor pads in the order of [`PADS`].
+/// Returns the motor pads in the order of [`PADS`].
 fn motors(table: &BTreeMap<String, file::Motor>, pins: &mut Pins) -> Result<[Motor; 4], InputError> {
     if let Some(wrong) = table.keys().find(|name| !PADS.contains(&name.as_str())) {
         return Err(unknown("motors", wrong, PADS));
@@ -351,11 +352,11 @@ fn motors(table: &BTreeMap<String, file::Motor>, pins: &mut Pins) -> Result<[Mot
     for pad in PADS {
         let field = |key: &str| format!("motors.{pad}.{key}");
         let motor = table.get(pad).ok_or_else(|| {
-            InputError::new("is missing: a quadrotor has four").field(format!("motors.{pad}"))
+            InputError::new("is missing: all of M1 to M4 are required").field(format!("motors.{pad}"))
         })?;
-        let pin = pins.take(&field("pin"), &motor.pin)?;
+        let pin = pins.claim(&field("pin"), &motor.pin)?;
         if motor.timer == "TIM5" {
-            return Err(InputError::new("counts the firmware's microseconds; motors can have another")
+            return Err(InputError::new("must not be TIM5, which counts the firmware's microseconds")
                 .field(field("timer"))
                 .value("TIM5"));
         }
@@ -364,18 +365,18 @@ fn motors(table: &BTreeMap<String, file::Motor>, pins: &mut Pins) -> Result<[Mot
         }
         let (channel, complementary, function) = chip::timer_channel(pin, &motor.timer).ok_or_else(|| {
             let others = chip::timers_at(pin);
-            let there = if others.is_empty() {
-                "no timer that can drive a motor has".into()
-            } else {
-                format!("{} has", others.join(" or "))
+            let options = match others.split_last() {
+                None => "; no motor timer has one".into(),
+                Some((only, [])) => format!(": {only}"),
+                Some((last, rest)) => format!(": {} or {last}", rest.join(", ")),
             };
-            InputError::new(format!("{} has no channel at {pin}; {there}", motor.timer))
+            InputError::new(format!("must be a timer with a channel at {pin}{options}"))
                 .field(field("timer"))
                 .value(&motor.timer)
         })?;
         if let Some(other) = channels.insert((motor.timer.clone(), channel), pad) {
             return Err(InputError::new(format!(
-                "is on channel {channel} of {}, as {other} is",
+                "uses channel {channel} of {}, already used by {other}",
                 motor.timer
             ))
             .field(field("pin"))
@@ -386,7 +387,7 @@ fn motors(table: &BTreeMap<String, file::Motor>, pins: &mut Pins) -> Result<[Mot
             .position(|rotor| *rotor == motor.rotor)
             .ok_or_else(|| unknown(&field("rotor"), &motor.rotor, ROTORS))?;
         if let Some(other) = rotors.insert(rotor, pad) {
-            return Err(InputError::new(format!("is {other}'s already"))
+            return Err(InputError::new(format!("already used by {other}"))
                 .field(field("rotor"))
                 .value(&motor.rotor));
         }
@@ -399,8 +400,8 @@ fn motors(table: &BTreeMap<String, file::Motor>, pins: &mut Pins) -> Result<[Mot
             rotor,
         });
     }
-    // One for each pad.
-    all.try_into().map_err(|_| InputError::new("must have four pads").field("motors"))
+    // The loop pushes one motor for each pad.
+    all.try_into().map_err(|_| InputError::new("must have four motor pads").field("motors"))
 }
 
 #[cfg(test)]

@@ -8,7 +8,7 @@ fn parsed(text: &str) -> Result<Board, String> {
     Board::parse("x", "x.toml", text).map_err(|error| error.to_string())
 }
 
-/// The board's file with something else in it.
+/// Returns the error of a built-in board's file after a replacement.
 #[track_caller]
 fn refused(of: &str, old: &str, new: &str) -> String {
     let text = text(of);
@@ -16,9 +16,9 @@ fn refused(of: &str, old: &str, new: &str) -> String {
     parsed(&text.replace(old, new)).unwrap_err()
 }
 
-/// Pads, and what ArduPilot's `hwdef.dat` calls them: the second source, which the files were not written from.
+/// Compares the motor pads with ArduPilot's `hwdef.dat`: a second source, from which the files were not written.
 #[test]
-fn pads_are_those_of_ardupilots_pin_lists() {
+fn motor_pads_match_ardupilot() {
     for (name, lines) in [
         (
             "speedybee-f405-v4",
@@ -44,9 +44,10 @@ fn pads_are_those_of_ardupilots_pin_lists() {
     }
 }
 
-/// The rest of those lists: pins of the sensors, the receiver, the battery and the LED; its scale.
+/// Compares the pins of the sensors, the receiver, the battery and the LED, and the battery's ratio, with the same
+/// files.
 #[test]
-fn pins_are_those_of_ardupilots_pin_lists() {
+fn sensor_pins_match_ardupilot() {
     for (name, pins, ratio) in [
         ("speedybee-f405-v4", "PA5 PA6 PA7 PA4 PB8 PB9 PA3 PC0 PC13", 11.0),
         ("speedybee-f405-mini", "PA5 PA6 PA7 PA4 PB8 PB9 PA3 PC0 PC13", 11.0),
@@ -68,9 +69,9 @@ fn pins_are_those_of_ardupilots_pin_lists() {
     }
 }
 
-/// ArduPilot's rotations of the same chip: about its axes forward, right, down.
+/// Compares the IMU's axes with ArduPilot's rotations of the same chip, about the axes forward, right, down.
 #[test]
-fn sensors_lie_as_ardupilots_rotations_say() {
+fn imu_axes_match_ardupilot_rotations() {
     // ROTATION_PITCH_180_YAW_270, ROTATION_PITCH_180_YAW_90, ROTATION_YAW_90.
     let pitched = |[x, y, z]: [i32; 3]| [-x, y, -z];
     let yawed_90 = |[x, y, z]: [i32; 3]| [-y, x, z];
@@ -81,12 +82,12 @@ fn sensors_lie_as_ardupilots_rotations_say() {
         ("speedybee-f405-mini", yawed_90(pitched(chip))),
         ("matek-f405-te", yawed_90(chip)),
     ] {
-        assert_eq!(Board::load(name).unwrap().imu.axes.of(chip), expected, "{name}");
+        assert_eq!(Board::load(name).unwrap().imu.axes.body_from_chip(chip), expected, "{name}");
     }
 }
 
 #[test]
-fn streams_follow_from_the_timers() {
+fn timers_determine_dma_streams() {
     let board = Board::load("matek-f405-te").unwrap();
     let of = |stream: Stream| (stream.controller, stream.number, stream.channel);
     assert_eq!(board.imu.streams.map(of), [(2, 0, 3), (2, 3, 3)]);
@@ -95,15 +96,11 @@ fn streams_follow_from_the_timers() {
 }
 
 #[test]
-fn conflicts_are_refused_by_name() {
+fn wrong_board_files_are_refused_with_reason() {
     let v4 = "speedybee-f405-v4";
     for (old, new, error) in [
-        ("\"PC13\"", "\"PC4\"", "x.toml: led.pin = PC4: is imu.ready's pin already"),
-        (
-            "\"PC13\"",
-            "\"PA14\"",
-            "x.toml: led.pin = PA14: is a pin of the debug probe, which would lose the board",
-        ),
+        ("\"PC13\"", "\"PC4\"", "x.toml: led.pin = PC4: already used by imu.ready"),
+        ("\"PC13\"", "\"PA14\"", "x.toml: led.pin = PA14: must not be a pin of the debug probe (PA13, PA14)"),
         (
             "\"PC13\"",
             "\"PE3\"",
@@ -117,38 +114,34 @@ fn conflicts_are_refused_by_name() {
         (
             "{ pin = \"PB0\", timer = \"TIM3\"",
             "{ pin = \"PC2\", timer = \"TIM3\"",
-            "x.toml: motors.M3.timer = TIM3: TIM3 has no channel at PC2; no timer that can drive a motor has",
+            "x.toml: motors.M3.timer = TIM3: must be a timer with a channel at PC2; no motor timer has one",
         ),
         (
             "{ pin = \"PB0\", timer = \"TIM3\"",
             "{ pin = \"PB0\", timer = \"TIM4\"",
-            "x.toml: motors.M3.timer = TIM4: TIM4 has no channel at PB0; TIM1 or TIM3 or TIM8 has",
+            "x.toml: motors.M3.timer = TIM4: must be a timer with a channel at PB0: TIM1, TIM3 or TIM8",
         ),
         (
             "{ pin = \"PB0\", timer = \"TIM3\"",
             "{ pin = \"PA2\", timer = \"TIM5\"",
-            "x.toml: motors.M3.timer = TIM5: counts the firmware's microseconds; motors can have another",
+            "x.toml: motors.M3.timer = TIM5: must not be TIM5, which counts the firmware's microseconds",
         ),
         (
             "{ pin = \"PB0\", timer = \"TIM3\"",
             "{ pin = \"PC9\", timer = \"TIM3\"",
-            "x.toml: motors.M4.pin = PB1: is on channel 4 of TIM3, as M3 is",
+            "x.toml: motors.M4.pin = PB1: uses channel 4 of TIM3, already used by M3",
         ),
-        ("rear-left", "rear-right", "x.toml: motors.M3.rotor = rear-right: is M1's already"),
+        ("rear-left", "rear-right", "x.toml: motors.M3.rotor = rear-right: already used by M1"),
         ("M3 =", "M5 =", "x.toml: motors = M5: must be one of M1, M2, M3, M4 (did you mean `M1`?)"),
-        ("\"PA6\"", "\"PB5\"", "x.toml: imu.miso = PB5: is not MISO of SPI1, which is at PA6, PB4"),
+        ("\"PA6\"", "\"PB5\"", "x.toml: imu.miso = PB5: must be a pin with MISO of SPI1: PA6, PB4"),
         ("\"SPI1\"", "\"SPI2\"", "x.toml: imu.spi = SPI2: must be one of SPI1 (did you mean `SPI1`?)"),
-        ("\"USART2\"", "\"USART1\"", "x.toml: receiver.rx = PA3: is not RX of USART1, which is at PA10, PB7"),
+        ("\"USART2\"", "\"USART1\"", "x.toml: receiver.rx = PA3: must be a pin with RX of USART1: PA10, PB7"),
         (
             "pin = \"PC0\"",
             "pin = \"PC6\"",
-            "x.toml: battery.pin = PC6: must be a pin that ADC1 measures: PA0 to PA7, PB0, PB1, PC0 to PC5",
+            "x.toml: battery.pin = PC6: must be a pin with an ADC1 channel: PA0 to PA7, PB0, PB1, PC0 to PC5",
         ),
-        (
-            "ratio = 11.0",
-            "ratio = 0.5",
-            "x.toml: battery.ratio = 0.5: must be from 1 to 50 V for one at the pin",
-        ),
+        ("ratio = 11.0", "ratio = 0.5", "x.toml: battery.ratio = 0.5: must be from 1 to 50 V/V"),
         ("crystal_mhz = 8", "crystal_mhz = 2", "x.toml: crystal_mhz = 2: must be from 4 to 26 MHz"),
         (
             "stm32f405",
@@ -164,28 +157,30 @@ fn conflicts_are_refused_by_name() {
     assert!(named.contains("did you mean `matek-f405-te`"), "{named}");
 }
 
-/// Any two boards' timers find streams, and what can't be is said by name.
+/// Checks that the timers of every board get their own streams, and that a conflict names the requests.
 #[test]
-fn streams_are_given_away_once() {
-    let need = |who: &str, choice: &[(u8, u8)]| chip::Need {
-        who: who.into(),
-        choice: choice
+fn each_dma_stream_is_assigned_once() {
+    let request = |name: &str, options: &[(u8, u8)]| chip::StreamRequest {
+        name: name.into(),
+        options: options
             .iter()
             .map(|&(controller, number)| Stream { controller, number, channel: 0 })
             .collect(),
     };
-    let numbers = |needs: &[chip::Need]| {
-        chip::assign(needs)
+    let numbers = |requests: &[chip::StreamRequest]| {
+        chip::assign(requests)
             .map(|streams| streams.iter().map(|s| (s.controller, s.number)).collect::<Vec<_>>())
     };
-    // The first one gives way.
-    let flexible = need("a", &[(1, 1), (1, 7)]);
-    assert_eq!(numbers(&[flexible.clone(), need("b", &[(1, 1)])]), Ok(vec![(1, 7), (1, 1)]));
-    let both = [need("SPI3 receive", &[(1, 2)]), need("TIM3 update", &[(1, 2)])];
-    assert_eq!(numbers(&both), Err("DMA1 stream 2 is needed by SPI3 receive and by TIM3 update".into()));
-    // All motor timers at once, with the inertial sensor.
-    let all: Vec<chip::Need> =
-        chip::spi1().into_iter().chain(chip::timers().into_iter().map(chip::update_of)).collect();
+    // The first request takes its second choice.
+    let flexible = request("a", &[(1, 1), (1, 7)]);
+    assert_eq!(numbers(&[flexible.clone(), request("b", &[(1, 1)])]), Ok(vec![(1, 7), (1, 1)]));
+    let both = [request("SPI3 receive", &[(1, 2)]), request("TIM3 update", &[(1, 2)])];
+    assert_eq!(numbers(&both), Err("SPI3 receive and TIM3 update need the same DMA1 stream 2".into()));
+    // All motor timers at once, with the IMU.
+    let all: Vec<chip::StreamRequest> = chip::spi1_requests()
+        .into_iter()
+        .chain(chip::timers().into_iter().map(chip::timer_request))
+        .collect();
     let streams = numbers(&all).unwrap();
     let distinct: std::collections::BTreeSet<_> = streams.iter().collect();
     assert_eq!(distinct.len(), all.len());

@@ -1,42 +1,41 @@
-//! The ICM-42688-P inertial sensor on SPI.
+//! The ICM-42688-P IMU on SPI.
 //!
-//! Register names, addresses and fields are those of TDK's datasheet DS-000347 (revision 1.7); a remark on a
-//! setting is from the description of its register there.
+//! Register names, addresses and fields are those of TDK's datasheet DS-000347 (revision 1.7). A comment on a setting
+//! refers to the register's description there.
 //!
-//! Set up here: ±2,000 °/s and ±16 g, both at 1 kHz in low-noise mode; anti-alias filters at 258 Hz, below the
-//! 500 Hz that a rate of 1 kHz would fold down; user filters at their default (second order, a quarter of the
-//! output rate); a data-ready pulse on INT1.
+//! Configuration: ±2,000 °/s and ±16 g, both at 1 kHz in low-noise mode; anti-alias filters at 258 Hz, below the
+//! Nyquist frequency of 500 Hz; user filters at their default (second order, a quarter of the output rate); a
+//! data-ready pulse on INT1.
 //!
 //! # Set-up
-//! [`Setup`] sets the sensor up in steps that do not wait, so that it can be done in flight, and tries again until
-//! it succeeds; [`Recovery`] says when it must be done again.
+//! [`Setup`] configures the IMU in steps that do not wait, so that it can also run in flight. It repeats failed
+//! attempts until one succeeds. [`Recovery`] decides when a new set-up is needed.
 //!
 //! # Sampling by DMA
-//! Once the sensor is set up, the board may send [`BURST_READ`] by itself whenever the data-ready line rises, and hand
-//! what comes back to [`decode`].
+//! After the set-up, the board sends [`BURST_READ`] by DMA whenever the data-ready line rises, and passes the received
+//! bytes to [`decode`].
 //!
 //! ```text
-//!      0 µs      the chip has a sample: line up, DATA_RDY_INT set
+//!      0 µs      the chip has a sample: line high, DATA_RDY_INT set
 //!      1 µs      the burst starts: address, accelerometer, gyroscope, FSYNC time, INT_STATUS
-//!     14 µs      16 bytes at 10.5 MHz later, its last byte has read DATA_RDY_INT, and cleared it
+//!     14 µs      16 bytes at 10.5 MHz later, the last byte has read DATA_RDY_INT, and cleared it
 //!  1,000 µs      the next sample
 //! ```
 //!
-//! The last byte says whether anything came since the burst before: without it, the registers were only read
-//! again. It also comes after the data, so that a chip which falls silent on the way is noticed.
+//! The last byte says whether a new sample came since the previous burst; without one, the burst has read the same
+//! registers again. It follows the data, so it also detects a chip that stops answering during the burst.
 //!
-//! What a frame cannot say is whether a sample landed between its bytes. The datasheet does not promise that
-//! the registers stand still during a burst, so some bytes may be older than the rest. That takes a data-ready
-//! edge between the start of the burst and its end: the board looks, and says so to [`decode`]. A burst that
-//! starts within 980 µs of its edge is safe. A burst that starts without an edge (the line is broken, and the board
-//! reads by its own clock) may tear a sample unnoticed: 13 of 1,000 µs are exposed to that.
+//! A frame does not show whether a sample became ready during the burst. The datasheet does not guarantee that the
+//! registers stay constant during a burst, so some bytes may be older than others. This needs a data-ready edge between
+//! start and end of the burst: the board detects it and passes it to [`decode`]. A burst that starts within 980 µs
+//! after its edge is safe. A burst without an edge (the line is broken, and the board reads by its own clock) may tear
+//! a sample undetected, if the sample becomes ready in its 13 of 1,000 µs.
 //!
-//! SPI has no checksum. A bit that flips on the way is not noticed here.
+//! SPI has no checksum: a flipped bit is not detected here.
 //!
 //! # Other drivers
-//! None of those published fits: `icm42688` 0.2 is for I2C and embedded-hal 0.2, `icm426xx` 0.4 reads 20-bit
-//! packets from the FIFO only, `ShenMian/icm42688p-rs` 0.1 reads register by register, and none judges what
-//! it reads.
+//! No published driver fits: `icm42688` 0.2 is for I2C and embedded-hal 0.2, `icm426xx` 0.4 only reads 20-bit packets
+//! from the FIFO, `ShenMian/icm42688p-rs` 0.1 reads one register at a time, and none of them validates the data.
 
 mod recovery;
 mod setup;
@@ -48,7 +47,7 @@ use flight_core::sample::ImuSample;
 pub use recovery::Recovery;
 pub use setup::{Progress, Setup, SetupError};
 
-/// A register of one of the sensor's banks.
+/// A register in one of the chip's banks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Register {
     bank: u8,
@@ -84,59 +83,59 @@ const ACCEL_CONFIG_STATIC2: Register = bank2(0x03);
 const ACCEL_CONFIG_STATIC3: Register = bank2(0x04);
 const ACCEL_CONFIG_STATIC4: Register = bank2(0x05);
 
-/// The same address in every bank.
+/// The bank-select register, at the same address in every bank.
 const REG_BANK_SEL: u8 = 0x76;
-/// Set in the address byte of a read.
+/// Bit of the address byte that marks a read.
 const READ: u8 = 0x80;
-/// INT_STATUS: there is a sample that was not there when this register was last read.
+/// INT_STATUS: a sample came since this register was last read.
 const DATA_RDY_INT: u8 = 0x08;
 /// INT_STATUS: the chip has reset since this register was last read.
 const RESET_DONE_INT: u8 = 0x10;
 /// INT_STATUS: a bit that the chip never sets.
 const RESERVED: u8 = 0x80;
 
-/// Bytes of a burst: the address, twelve of data, two of a time that is not used, INT_STATUS.
+/// Length of a burst, bytes: the address, twelve of data, two of an unused time, INT_STATUS.
 pub const FRAME_LEN: usize = 16;
 
-/// What comes back for [`BURST_READ`].
+/// The bytes received during [`BURST_READ`].
 pub type Frame = [u8; FRAME_LEN];
 
-/// What is sent in a burst.
+/// The bytes sent in a burst.
 pub const BURST_READ: Frame = {
     let mut sent = [0; FRAME_LEN];
     sent[0] = ACCEL_DATA_X1.address | READ;
     sent
 };
 
-/// Where INT_STATUS is in a frame.
+/// Index of INT_STATUS in a frame.
 const STATUS_AT: usize = 1 + (INT_STATUS.address - ACCEL_DATA_X1.address) as usize;
 const _: () = assert!(STATUS_AT == FRAME_LEN - 1);
 
-/// The smallest count that is a measurement. −32,768 is what the registers hold until the first sample, and
-/// −32,767 marks invalid data too: a saturated axis ends at −32,766 (INTF_CONFIG0, FIFO_HOLD_LAST_DATA_EN clear).
+/// The smallest valid count. The registers hold −32,768 until the first sample, and −32,767 also marks invalid data; a
+/// saturated axis stops at −32,766 (INTF_CONFIG0, FIFO_HOLD_LAST_DATA_EN clear).
 const LOWEST_VALID: i16 = -32_766;
 
-/// Why a frame holds no new sample.
+/// Reason why a frame has no new sample.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FrameError {
-    /// The line stayed low or high: nobody drives it.
+    /// The line stayed low or high: no chip drives it.
     NoAnswer,
-    /// The chip has reset since the last frame, as after a dip of its supply. It must be set up again.
+    /// The chip has reset since the last frame, for example after a dip of its supply. It needs a new set-up.
     Reset,
-    /// An axis has no measurement: the sensor is off or still starts.
+    /// An axis has no valid count: the sensor is off or still starting.
     NoData,
-    /// No sample came since the last frame: what the registers hold has been read before.
+    /// No sample came since the last frame: the registers hold the sample that was already read.
     Repeated,
-    /// A sample came between the bytes: see the module's documentation.
+    /// A sample became ready during the burst: see the module's documentation.
     Torn,
 }
 
-/// The sample in a frame; `risen` if the data-ready line rose while the burst ran.
+/// Decodes a frame's sample; `risen` says whether the data-ready line rose during the burst.
 ///
 /// # Errors
 /// See [`FrameError`].
 pub fn decode(frame: &Frame, risen: bool) -> Result<ImuSample, FrameError> {
-    // The first byte comes while the address goes out: it is the lowest of these 128 bits, and does not count.
+    // The first byte is received while the address is sent. It is the lowest of these 128 bits and is ignored.
     let silent = u128::from_le_bytes(*frame) >> 8 == 0;
     let [_, answer @ ..] = frame;
     let status = frame[STATUS_AT];
@@ -158,14 +157,14 @@ pub fn decode(frame: &Frame, risen: bool) -> Result<ImuSample, FrameError> {
     if risen { Err(FrameError::Torn) } else { Ok(sample) }
 }
 
-/// The sensor, set up and sampling, on a bus that waits: what a test, or a board that does nothing else, takes.
+/// The IMU, configured and sampling, on a blocking bus: for tests, and for boards with no other work.
 pub struct Icm42688p<SPI> {
     spi: SPI,
 }
 
 impl<SPI: SpiDevice> Icm42688p<SPI> {
-    /// Goes through [`Setup`] once, which takes 55 ms. SPI mode 0 or 3, up to 24 MHz; `edges` is how often the
-    /// data-ready line has risen so far.
+    /// Runs [`Setup`] once, which takes 55 ms. SPI mode 0 or 3, up to 24 MHz. `edges` returns how often the data-ready
+    /// line has risen so far.
     ///
     /// # Errors
     /// See [`SetupError`].
@@ -174,14 +173,14 @@ impl<SPI: SpiDevice> Icm42688p<SPI> {
         delay: &mut impl DelayNs,
         mut edges: impl FnMut() -> u32,
     ) -> Result<Self, SetupError<SPI::Error>> {
-        const LOOK_US: u32 = 500;
+        const POLL_US: u32 = 500;
         let mut now_us = 0;
         let mut setup = Setup::new(now_us);
         loop {
             match setup.step(&mut spi, now_us, edges()) {
                 Progress::Waiting => {
-                    delay.delay_us(LOOK_US);
-                    now_us += LOOK_US;
+                    delay.delay_us(POLL_US);
+                    now_us += POLL_US;
                 }
                 Progress::Done => return Ok(Self { spi }),
                 Progress::Failed(error) => return Err(error),
@@ -189,10 +188,10 @@ impl<SPI: SpiDevice> Icm42688p<SPI> {
         }
     }
 
-    /// Does a burst, and waits for it.
+    /// Reads one burst, and waits for it.
     ///
     /// # Errors
-    /// The bus's.
+    /// Errors of the bus.
     pub fn read_frame(&mut self) -> Result<Frame, SPI::Error> {
         let mut frame = BURST_READ;
         self.spi.transfer_in_place(&mut frame)?;
@@ -204,7 +203,7 @@ impl<SPI: SpiDevice> Icm42688p<SPI> {
 mod tests {
     use super::*;
 
-    /// Accelerometer 1, −2, 32,767; gyroscope −32,766, 300, −1; new.
+    /// Accelerometer 1, −2, 32,767; gyroscope −32,766, 300, −1; new sample.
     const FRAME: Frame = [0x5a, 0, 1, 0xff, 0xfe, 0x7f, 0xff, 0x80, 0x02, 1, 0x2c, 0xff, 0xff, 0, 0, 0x08];
 
     fn with(changes: &[(usize, u8)]) -> Frame {
@@ -216,15 +215,15 @@ mod tests {
     }
 
     #[test]
-    fn a_frame_holds_a_sample() {
+    fn valid_frame_decodes_to_sample() {
         let sample = ImuSample { accel: [1, -2, 32_767], gyro: [-32_766, 300, -1] };
         assert_eq!(decode(&FRAME, false), Ok(sample));
-        // The byte that comes with the address means nothing.
+        // The byte received with the address is ignored.
         assert_eq!(decode(&with(&[(0, 0xff)]), false), Ok(sample));
     }
 
     #[test]
-    fn a_frame_says_why_it_holds_none() {
+    fn invalid_frames_decode_to_their_error() {
         assert_eq!(decode(&[0xff; FRAME_LEN], false), Err(FrameError::NoAnswer));
         assert_eq!(decode(&[0x00; FRAME_LEN], false), Err(FrameError::NoAnswer));
         assert_eq!(decode(&with(&[(15, 0x18)]), false), Err(FrameError::Reset));

@@ -1,19 +1,19 @@
 //! The QMC5883L magnetometer on I2C.
 //!
-//! Registers and their meaning are those of QST's datasheet 1.0 (February 2016). Many boards sold with an
-//! HMC5883L carry this chip; that one answers at 0x1e, has other registers, and is not meant here.
+//! Registers and their meaning are those of QST's datasheet 1.0 (February 2016). Many boards sold with an HMC5883L have
+//! this chip. A real HMC5883L answers at 0x1e and has other registers; this driver does not support it.
 //!
-//! Set up here: ±8 G, 3,000 counts a gauss, 100 samples a second, each the mean of 512.
+//! Configuration: ±8 G, 3,000 counts per gauss, 100 samples a second, each the mean of 512.
 //!
 //! # Sampling
-//! The chip's data-ready line is on no connector, so the status register is asked. Reading data takes the
-//! flag away, so the status comes first. The data registers stand still from the first byte that is read of
-//! them to the last (6.2.1.1), so that a sample is never torn; one that comes meanwhile is lost.
-//! [`Qmc5883l::sample`] must be called more often than samples come, or some are reported as lost.
+//! The chip's data-ready line is not on the connector, so the driver polls the status register. Reading data clears the
+//! flag, so the status is read first. The data registers stay constant from the first byte read to the last (6.2.1.1):
+//! a sample is never torn, but one that comes during the read is lost. Call [`Qmc5883l::sample`] more often than
+//! samples come, otherwise some are reported as lost.
 //!
 //! # Other drivers
-//! None of those published fits: `qmc5883l` 0.0.1 is AGPL and for embedded-hal 0.2, `qmc5883p` 1.0 is for
-//! another chip, and `Laura7089/qmc5883l-rs` neither checks its settings nor looks at lost samples.
+//! No published driver fits: `qmc5883l` 0.0.1 is AGPL and for embedded-hal 0.2, `qmc5883p` 1.0 is for another chip, and
+//! `Laura7089/qmc5883l-rs` neither checks its settings nor reports lost samples.
 
 use embedded_hal::delay::DelayNs;
 use embedded_hal::i2c::I2c;
@@ -29,16 +29,16 @@ const CONTROL_2: u8 = 0x0a;
 const SET_RESET_PERIOD: u8 = 0x0b;
 const CHIP_ID: u8 = 0x0d;
 
-/// What CHIP_ID reads. So does a bus that nobody drives, but there nobody acknowledges the address either.
+/// Content of CHIP_ID. An undriven bus reads the same, but then no chip acknowledges the address.
 const IDENTITY: u8 = 0xff;
-/// CONTROL_2: back to the values after power-up.
+/// CONTROL_2: resets all registers to their power-up values.
 const SOFT_RST: u8 = 0x80;
 
-/// STATUS: there is a sample that was not read.
+/// STATUS: a sample is ready that was not read.
 const DRDY: u8 = 0x01;
-/// STATUS: an axis was beyond 16 bits.
+/// STATUS: an axis exceeded 16 bits.
 const OVL: u8 = 0x02;
-/// STATUS: a sample was lost because the one before it had not been read.
+/// STATUS: a sample was lost, because the previous one had not been read.
 const DOR: u8 = 0x04;
 
 /// Mean of 512 (00), ±8 G (01), 100 Hz (10), continuous (01).
@@ -51,15 +51,15 @@ const SETTINGS: [(u8, u8); 2] = [
     (CONTROL_1, MEASURING),
 ];
 
-/// Why the sensor could not be set up.
+/// Reason why the set-up failed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SetupError<E> {
-    /// The bus failed, or nobody answers at the address.
+    /// The bus failed, or no chip answers at the address.
     Bus(E),
     /// Another chip answers.
     Identity(u8),
-    /// The register at this address does not hold what was written to it.
-    NotKept(u8),
+    /// The register at this address does not hold the value that was written.
+    ReadbackMismatch(u8),
 }
 
 impl<E> From<E> for SetupError<E> {
@@ -68,17 +68,17 @@ impl<E> From<E> for SetupError<E> {
     }
 }
 
-/// Why [`Qmc5883l::sample`] gives no sample, or not without a remark.
+/// Reason why [`Qmc5883l::sample`] returns no sample, or a sample with a warning.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SampleError<E> {
-    /// The bus failed, or the chip does not answer any more.
+    /// The bus failed, or the chip no longer answers.
     Bus(E),
-    /// What follows the data is not the setting that was written there: the chip has reset, as after a dip of
-    /// its supply, or fell silent on the way. It must be set up again.
+    /// The setting that is read after the data is not the one that was written: the chip has reset (for example after a
+    /// dip of its supply) or stopped answering during the read. It needs a new set-up.
     SettingLost,
-    /// The field is beyond the range: what the registers hold is not it.
+    /// The field exceeds the range: the registers do not hold its value.
     Overflow,
-    /// This sample is new and whole, but one or more before it were lost.
+    /// This sample is new and complete, but one or more before it were lost.
     Skipped(MagSample),
 }
 
@@ -88,22 +88,22 @@ impl<E> From<E> for SampleError<E> {
     }
 }
 
-/// The sensor, set up and sampling.
+/// The magnetometer, configured and sampling.
 pub struct Qmc5883l<I2C> {
     i2c: I2C,
 }
 
 impl<I2C: I2c> Qmc5883l<I2C> {
-    /// Resets the sensor and sets it up. I2C up to 400 kHz. Takes 2 ms.
+    /// Resets the chip and configures it. I2C up to 400 kHz. Takes 2 ms.
     ///
     /// # Errors
     /// See [`SetupError`].
     pub fn new(i2c: I2C, delay: &mut impl DelayNs) -> Result<Self, SetupError<I2C::Error>> {
         let mut mag = Self { i2c };
-        // From power-up to the first access 350 µs (table 7). The supply may have come up just now.
+        // The first access must follow power-up by 350 µs (table 7). The supply may have come up just now.
         delay.delay_ms(1);
         mag.write(CONTROL_2, SOFT_RST)?;
-        // The datasheet has no figure for this one; a reset by the supply takes 350 µs.
+        // The datasheet has no time for a software reset; a power-on reset takes 350 µs.
         delay.delay_ms(1);
 
         let [identity] = mag.read(CHIP_ID)?;
@@ -115,20 +115,19 @@ impl<I2C: I2c> Qmc5883l<I2C> {
         }
         for (register, value) in SETTINGS {
             if mag.read(register)? != [value] {
-                return Err(SetupError::NotKept(register));
+                return Err(SetupError::ReadbackMismatch(register));
             }
         }
         Ok(mag)
     }
 
-    /// Reads the latest sample, if there is one that was not read before. At 400 kHz it waits 0.16 ms, and
-    /// 0.45 ms if there is a sample.
+    /// Reads the latest sample, if there is one that was not read before. At 400 kHz it takes 0.16 ms, and 0.45 ms if
+    /// there is a sample.
     ///
     /// # Errors
     /// See [`SampleError`].
     pub fn sample(&mut self) -> Result<Option<MagSample>, SampleError<I2C::Error>> {
-        // Both readings go on to the setting, so that a line which only stays low or high is not taken for a
-        // chip.
+        // Both reads include the setting, so that a line that stays low or high is not taken for a chip.
         let [status, .., setting] = self.read::<4>(STATUS)?;
         if setting != MEASURING {
             return Err(SampleError::SettingLost);
@@ -136,7 +135,7 @@ impl<I2C: I2c> Qmc5883l<I2C> {
         if status & DRDY == 0 {
             return Ok(None);
         }
-        // Also when the sample is of no use: reading it makes room for the next.
+        // The data are read even if they are unusable: reading frees the registers for the next sample.
         let [xl, xh, yl, yh, zl, zh, .., setting] = self.read::<10>(DATA)?;
         if setting != MEASURING {
             return Err(SampleError::SettingLost);

@@ -1,4 +1,4 @@
-//! A board as a wiring table, and the microcontroller with what is soldered and plugged to it.
+//! The wiring table of a board, and the microcontroller with the chips that are connected to it.
 
 use std::num::{NonZeroU32, NonZeroU64};
 use std::ops::Range;
@@ -24,28 +24,28 @@ use sim_host::scene::Scene;
 use vehicle::Vehicle;
 
 use crate::chip::exti::PVD_LINE;
-use crate::chip::stm32f405::{PORTS, Stm32f405, TimerPlace};
+use crate::chip::stm32f405::{PORTS, Stm32f405, TimerIndex};
 use crate::imu::Imu;
 use crate::magnetometer::Magnetometer;
 use crate::pads::{Line, PADS};
 use crate::rc_receiver::{Protocol, RcReceiver};
 use crate::timing::{HANDLERS, Handler, INSTRUCTIONS_PER_SECOND, handlers};
 
-/// The core's clock once the firmware has set it up, which times SysTick, Hz.
+/// Clock of the core after the firmware's set-up, Hz. SysTick uses it.
 const CORE_HZ: u64 = 168_000_000;
 
-/// Place of the inertial sensor's SPI among SPI1 to SPI3: the firmware takes SPI1.
+/// Index of the inertial sensor's SPI among SPI1 to SPI3: the firmware uses SPI1.
 const IMU_SPI: usize = 0;
 
-/// Supply of the microcontroller, mV.
+/// Nominal supply of the microcontroller, mV.
 pub const SUPPLY_MV: u32 = 3_300;
 
 /// A pin: port (0 for A) and number.
 #[derive(Clone, Copy, Debug)]
 pub struct Wire {
-    /// 0 for port A.
+    /// Port, 0 for port A.
     pub port: usize,
-    /// 0 to 15.
+    /// Pin, 0 to 15.
     pub pin: u8,
 }
 
@@ -58,78 +58,78 @@ impl From<::board::Pin> for Wire {
 /// A motor pad.
 #[derive(Clone, Copy, Debug)]
 pub struct Pad {
-    /// Its name on the board.
+    /// Name on the board.
     pub name: &'static str,
-    /// Its pin.
+    /// Pin.
     pub wire: Wire,
-    /// Alternate function by which the pin carries its timer's output.
+    /// Alternate function that connects the pin to its timer's output.
     pub function: u8,
-    /// Its timer.
-    pub timer: TimerPlace,
-    /// 1 to 4.
+    /// Timer.
+    pub timer: TimerIndex,
+    /// Channel of the timer, 1 to 4.
     pub channel: u8,
-    /// It is the channel's complementary output.
+    /// Whether the pad uses the channel's complementary output.
     pub complementary: bool,
-    /// The rotor whose ESC is plugged there, 0 for the front left, clockwise.
+    /// Rotor whose ESC is connected to the pad: 0 for the front left, then clockwise.
     pub rotor: usize,
 }
 
-/// What else a pin of a peripheral must be.
+/// Required output type or pull of a peripheral's pin.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Drive {
-    /// Driven both ways, or an input.
+    /// A push-pull output, or an input.
     PushPull,
-    /// Driven low only.
+    /// An open-drain output.
     OpenDrain,
-    /// An input that is high while nobody drives it.
+    /// An input with a pull-up.
     PulledUp,
 }
 
-/// A pin of a peripheral.
+/// The connection of a pin to a peripheral.
 #[derive(Clone, Debug)]
 pub struct Connection {
-    /// The pin.
+    /// Pin.
     pub wire: Wire,
-    /// The peripheral, as RM0090 calls it.
+    /// Peripheral, by its name in RM0090.
     pub instance: String,
-    /// Its signal.
+    /// Signal of the peripheral.
     pub signal: &'static str,
-    /// Alternate function by which the pin carries it (DS8626, table 9).
+    /// Alternate function that connects the pin to the signal (DS8626, table 9).
     pub function: u64,
-    /// What else the pin must be.
+    /// Required output type or pull.
     pub drive: Drive,
 }
 
-/// What is wired to what: a board in a vehicle.
+/// The wiring of a board in a vehicle.
 #[derive(Debug)]
 pub struct Wiring {
-    /// The board.
+    /// Board.
     pub board: ::board::Board,
-    /// How the inertial sensor lies in the vehicle.
+    /// Directions of the inertial sensor's axes in the vehicle.
     pub imu_axes: Axes,
-    /// Largest bit rate that it takes.
+    /// Maximum bit rate of the inertial sensor's bus, Hz.
     pub imu_max_hz: u64,
-    /// How the magnetometer lies in the vehicle.
+    /// Directions of the magnetometer's axes in the vehicle.
     pub magnetometer_axes: Axes,
-    /// Bits a second on its bus.
+    /// Bit rate of the magnetometer's bus, Hz.
     pub magnetometer_hz: u64,
-    /// Its I2C, 0 for I2C1.
+    /// I2C of the magnetometer, 0 for I2C1.
     pub magnetometer_i2c: usize,
-    /// Serial port of the receiver, by its place in `rigless`'s list.
+    /// Serial port of the receiver, as an index into `rigless`'s list.
     pub receiver_usart: usize,
-    /// The motor pads.
+    /// Motor pads.
     pub pads: [Pad; PADS],
-    /// The other pins of peripherals.
+    /// Other pins of peripherals.
     pub connections: Vec<Connection>,
-    /// The handlers that run in flight.
+    /// Interrupt handlers that run in flight.
     pub handlers: [Handler; HANDLERS],
 }
 
 impl Wiring {
-    /// A board as it is built into a vehicle.
+    /// Returns the wiring of a board in a vehicle.
     ///
     /// # Panics
-    /// The board has a timer or a serial port that the chip does not have: its file was not checked.
+    /// The board has a timer or a serial port that the chip does not have. The check of board files excludes this.
     pub fn new(board: ::board::Board, vehicle: &Vehicle) -> Self {
         let connection = |found: &::board::Connection, drive| Connection {
             wire: found.pin.into(),
@@ -151,7 +151,7 @@ impl Wiring {
             name: motor.pad,
             wire: motor.connection.pin.into(),
             function: motor.connection.function,
-            timer: TimerPlace::of(&motor.connection.peripheral).expect("a timer of the chip"),
+            timer: TimerIndex::of(&motor.connection.peripheral).expect("a timer of the chip"),
             channel: motor.channel,
             complementary: motor.complementary,
             rotor: motor.rotor,
@@ -159,7 +159,7 @@ impl Wiring {
         let serial = board.receiver.peripheral.as_str();
         let magnetometer_i2c = board.magnetometer.scl.peripheral.trim_start_matches("I2C").parse::<usize>();
         Self {
-            imu_axes: board.imu.axes.within(&vehicle.board_axes),
+            imu_axes: board.imu.axes.mounted_on(&vehicle.board_axes),
             imu_max_hz: 24_000_000,
             magnetometer_axes: vehicle.magnetometer_axes,
             magnetometer_hz: 400_000,
@@ -176,7 +176,7 @@ impl Wiring {
     }
 }
 
-/// A count of the chips on the boards: the ICM-42688-P at ±2,000 °/s and ±16 g (DS-000347, tables 1 and 2), rad/s and
+/// Value of a count of the boards' chips: the ICM-42688-P at ±2,000 °/s and ±16 g (DS-000347, tables 1 and 2), rad/s and
 /// m/s²; the QMC5883L at ±8 G (its data sheet, table 2), µT.
 const PER_COUNT: [(&str, f64); 3] = [
     ("gyroscope", 2_000.0 / 32_768.0 * std::f64::consts::PI / 180.0),
@@ -185,18 +185,18 @@ const PER_COUNT: [(&str, f64); 3] = [
 ];
 
 impl Wiring {
-    /// Whether the scene's sensors are those of the board.
+    /// Checks that the scene's sensors have the sensitivities of the board's chips.
     ///
     /// # Errors
-    /// They count in other units: a board with such chips would have another image.
+    /// The sensitivities differ: a board with such chips would need another image.
     pub fn check(&self, scene: &Scene) -> Result<(), InputError> {
         let params = &scene.config.params;
         let counts = [params.gyro, params.accel, params.mag].map(|sensor| f64::from(sensor.per_count));
         for ((sensor, expected), per_count) in PER_COUNT.into_iter().zip(counts) {
             if (per_count / expected - 1.0).abs() > 1.0e-3 {
                 let allowed = format!(
-                    "the scene's {sensor} is not that of the {}, which has an ICM-42688-P and a QMC5883L: \
-                     take imu = \"icm-42688-p\"",
+                    "the scene's {sensor} has another sensitivity than that of the {}, which has an ICM-42688-P and a \
+                     QMC5883L: use imu = \"icm-42688-p\"",
                     self.board.title
                 );
                 return Err(InputError::new(allowed).file(&scene.name).field("imu"));
@@ -206,41 +206,43 @@ impl Wiring {
     }
 }
 
-/// A vector of counts along the body's axes, along the chip's.
+/// Converts a vector of counts from the body's axes to the chip's.
 pub fn to_chip(axes: &Axes, body: [i16; 3]) -> [i16; 3] {
-    axes.back(body.map(i32::from)).map(|counts| {
-        // The chip's lowest value is −32,766; only the largest number has no negative.
+    axes.chip_from_body(body.map(i32::from)).map(|counts| {
+        // The negative of i16::MIN does not fit into i16.
         counts.clamp(i32::from(i16::MIN), i32::from(i16::MAX)) as i16
     })
 }
 
-/// Whether a register at this address is one of DMA1 or DMA2.
+/// Returns whether this is the address of a register of DMA1 or DMA2.
 pub fn is_dma(address: u64) -> bool {
     matches!(address, 0x4002_6000..0x4002_6800)
 }
 
-/// The microcontroller with its pins wired.
+/// The microcontroller with its wired pins.
 #[derive(Debug)]
 pub struct Machine {
-    /// The microcontroller.
+    /// Microcontroller.
     pub part: Stm32f405,
     wiring: Arc<Wiring>,
     ready: Option<bool>,
     supply_low: bool,
     data_held: bool,
-    /// Clocks after which the sensor lets the data line go.
+    /// Clock pulses after which the magnetometer releases its data line.
     clocks_left: Option<u32>,
     magnetometer_clock: bool,
+    /// Levels that the timers drive at the pads.
     functions: [Option<Level>; PADS],
-    /// The ports do not know the functions yet.
-    stale: bool,
+    /// Whether the port models do not yet have the levels of `functions`.
+    ports_outdated: bool,
     now: VirtualNanos,
     pad_ports: Vec<usize>,
-    /// Registers by which the level of a motor pad may be changed: those of the timers, and the others.
+    /// Addresses of the motor timers' registers.
     motor_timers: Vec<Range<u64>>,
+    /// Addresses of other registers that can change the level of a motor pad: ports and RCC.
     motor_others: Vec<Range<u64>>,
     lines: [Line; PADS],
-    /// Changes at the pads since they were last taken: when (ns), pad, what.
+    /// Changes at the pads since the last [`Self::take_edges`]: time (ns), pad, new state.
     edges: Vec<(u64, usize, Line)>,
 }
 
@@ -274,7 +276,7 @@ impl Machine {
             clocks_left: None,
             magnetometer_clock: true,
             functions: [None; PADS],
-            stale: false,
+            ports_outdated: false,
             now: VirtualNanos(0),
             pad_ports,
             motor_timers,
@@ -284,27 +286,28 @@ impl Machine {
         })
     }
 
-    /// Whether a register at this address is one of the motors' timers.
+    /// Returns whether this is the address of a register of a motor timer.
     pub fn is_motor_timer(&self, address: u64) -> bool {
         self.motor_timers.iter().any(|range| range.contains(&address))
     }
 
-    /// Whether a register at this address may change what a motor pad carries: the timers, the ports, clocks and resets.
+    /// Returns whether an access to this address can change the level of a motor pad: a register of the timers, the ports
+    /// or the RCC.
     pub fn touches_pads(&self, address: u64) -> bool {
         self.is_motor_timer(address) || self.motor_others.iter().any(|range| range.contains(&address))
     }
 
-    /// The inertial sensor.
+    /// Returns the inertial sensor.
     pub fn imu(&mut self) -> &mut Imu {
         self.part.spi[IMU_SPI].chip_mut(0).expect("it was attached")
     }
 
-    /// The magnetometer.
+    /// Returns the magnetometer.
     pub fn magnetometer(&mut self) -> &mut Magnetometer {
         self.part.i2c[self.wiring.magnetometer_i2c].interface.chip_mut(0).expect("it was attached")
     }
 
-    /// Whether the magnetometer goes on to send ([`Magnetometer::sends_on`]).
+    /// Returns whether the magnetometer continues to send ([`Magnetometer::sends_on`]).
     pub fn magnetometer_sends_on(&self) -> bool {
         let peer = self.part.i2c[self.wiring.magnetometer_i2c].interface.peer();
         let magnetometer: Option<&Magnetometer> =
@@ -312,37 +315,38 @@ impl Machine {
         magnetometer.is_some_and(Magnetometer::sends_on)
     }
 
-    /// The receiver.
+    /// Returns the receiver.
     pub fn receiver(&mut self) -> &mut RcReceiver {
         self.part.usart[self.wiring.receiver_usart].chip_mut().expect("it was attached")
     }
 
-    /// The battery, V.
+    /// Sets the voltage of the battery, V.
     pub fn set_battery(&mut self, volts: f64) {
         let channel = Analog::new(self.wiring.board.battery.channel).expect("a channel of ADC1");
         let millivolts = (volts * 1_000.0 / self.wiring.board.battery.ratio).round().clamp(0.0, 3_300.0);
         self.part.adc[0].set_input(channel, millivolts as u32);
     }
 
-    /// Something holds the I2C data line low, or lets it go.
+    /// Holds the magnetometer's I2C data line low, or releases it.
     pub fn hold_magnetometer_bus(&mut self, held: bool) {
         self.part.i2c[self.wiring.magnetometer_i2c].held_low = held;
         self.clocks_left = None;
     }
 
-    /// The magnetometer was cut off in the middle of a byte: it holds the data line low until it has got so many clocks.
+    /// Simulates a magnetometer that was interrupted in the middle of a byte: it holds the data line low until it has
+    /// received this number of clock pulses.
     pub fn hold_magnetometer_bus_for(&mut self, clocks: u32) {
         self.hold_magnetometer_bus(true);
         self.clocks_left = Some(clocks);
     }
 
-    /// Whether nobody holds the magnetometer's data line.
+    /// Returns whether the magnetometer's data line is free.
     pub fn magnetometer_bus_is_free(&self) -> bool {
         !self.part.i2c[self.wiring.magnetometer_i2c].held_low
     }
 
-    /// Follows the magnetometer's clock line where the firmware moves it by the pin itself.
-    fn follow_magnetometer_clock(&mut self) {
+    /// Counts the clock pulses that the firmware makes on the magnetometer's clock pin as a general-purpose output.
+    fn count_magnetometer_clocks(&mut self) {
         use rigless::soc::stm32f427::generated::gpioa::Register;
         let wire = Wire::from(self.wiring.board.magnetometer.scl.pin);
         let (_, registers) = self.part.port(wire.port);
@@ -354,12 +358,12 @@ impl Machine {
         self.clocks_left = clocks.checked_sub(1).filter(|left| *left > 0);
         if self.clocks_left.is_none() {
             self.hold_magnetometer_bus(false);
-            self.magnetometer().finish();
+            self.magnetometer().end_transfer();
         }
     }
 
-    /// Whether the LED is lit; nobody drives it before the firmware does, and a board may have none.
-    pub fn lit(&self) -> bool {
+    /// Returns whether the LED is lit; `false` if the board has no LED, or the firmware has not set up its pin yet.
+    pub fn is_led_lit(&self) -> bool {
         use rigless::soc::stm32f427::generated::gpioa::Register;
         let Some(led) = self.wiring.board.led else { return false };
         let wire = Wire::from(led.pin);
@@ -369,14 +373,14 @@ impl Machine {
         output && high == (led.on_level == OnLevel::High)
     }
 
-    /// The supply of the microcontroller, mV.
+    /// Sets the supply of the microcontroller, mV.
     pub fn set_supply(&mut self, millivolts: u32) {
         self.part.set_supply(millivolts);
     }
 
-    /// Whether the receiver's port is set up as its line is: within 3 % of the baud rate, the same parity and stop
-    /// bits. Bytes that arrive at another port are garbled.
-    pub fn check_radio_line(&mut self) {
+    /// Compares the settings of the receiver's port with those of its line: within 3 % of the baud rate, the same parity and
+    /// stop bits. With other settings all bytes get framing errors.
+    pub fn check_receiver_line(&mut self) {
         use rigless::soc::stm32f427::generated::usart6::{Register, cr1, cr2};
         let line = self.receiver().protocol.line();
         let instance = SERIAL_PORTS[self.wiring.receiver_usart].instance;
@@ -395,9 +399,9 @@ impl Machine {
         framing.per_million = if right { 0 } else { 1_000_000 };
     }
 
-    /// Follows the pads at `now`.
-    pub fn follow_pads(&mut self, now: VirtualNanos) {
-        self.follow_magnetometer_clock();
+    /// Updates the state of the pads at `now`, and records the changes.
+    pub fn update_pads(&mut self, now: VirtualNanos) {
+        self.count_magnetometer_clocks();
         for (n, pad) in self.wiring.pads.iter().enumerate() {
             let pin = pin_of(pad.wire);
             let output = self.part.timer_output(pad.timer, pad.channel, pad.complementary);
@@ -406,11 +410,11 @@ impl Machine {
             let function = output.filter(|_| carried == Some(pad.function));
             if function != self.functions[n] {
                 self.functions[n] = function;
-                self.stale = true;
+                self.ports_outdated = true;
             }
             let line = match function {
                 Some(level) => level.into(),
-                None => self.line(pad),
+                None => self.undriven_line(pad),
             };
             if line != self.lines[n] {
                 self.lines[n] = line;
@@ -419,8 +423,8 @@ impl Machine {
         }
     }
 
-    /// What a pad carries that its timer does not drive.
-    fn line(&self, pad: &Pad) -> Line {
+    /// Returns the state of a pad that its timer does not drive.
+    fn undriven_line(&self, pad: &Pad) -> Line {
         use rigless::soc::stm32f427::generated::gpioa::Register;
         let (gpio, registers) = self.part.port(pad.wire.port);
         let field = |register| registers.get(register) >> (2 * pad.wire.pin) & 3;
@@ -430,9 +434,10 @@ impl Machine {
         if output || pulled { gpio.level(pin_of(pad.wire), registers).into() } else { Line::Floating }
     }
 
-    /// Tells the ports what the timers drive: for whoever reads the pins. Not at every edge, which nobody reads.
+    /// Passes the levels that the timers drive to the port models. This is done only before a port is accessed, and not at
+    /// every edge, to save time.
     fn refresh_ports(&mut self) {
-        if !std::mem::take(&mut self.stale) {
+        if !std::mem::take(&mut self.ports_outdated) {
             return;
         }
         for (pad, function) in self.wiring.pads.iter().zip(self.functions) {
@@ -442,7 +447,7 @@ impl Machine {
         }
     }
 
-    /// Changes at the pads since this was last asked.
+    /// Returns the changes at the pads since the last call.
     pub fn take_edges(&mut self) -> Vec<(u64, usize, Line)> {
         std::mem::take(&mut self.edges)
     }
@@ -463,14 +468,14 @@ impl Mcu for Machine {
 
     fn reset(&mut self, at: VirtualNanos, cause: ResetCause) {
         self.part.reset(at, cause);
-        self.part.tell_chips(at);
-        // Levels that are put on pins from outside stand; the ports have forgotten them.
+        self.part.notify_chips_of_reset(at);
+        // External levels persist, but the reset port models have lost them: drive them again.
         self.ready = None;
         self.data_held = false;
         self.functions = [None; PADS];
-        self.stale = false;
-        self.magnetometer().finish();
-        self.follow_pads(at);
+        self.ports_outdated = false;
+        self.magnetometer().end_transfer();
+        self.update_pads(at);
     }
 
     fn poll(&mut self, now: VirtualNanos) {
@@ -499,40 +504,40 @@ impl Mcu for Machine {
         }
         let touched = self.wiring.pads.iter().map(|pad| pad.timer);
         if touched.fold(false, |any, timer| any | self.part.take_touched(timer)) {
-            self.follow_pads(now);
+            self.update_pads(now);
         }
     }
 
     fn split(&mut self, slot: usize) -> (&mut Bus, Option<&mut dyn ErasedDevice>) {
-        if self.stale && self.pad_ports.contains(&slot) {
+        if self.ports_outdated && self.pad_ports.contains(&slot) {
             self.refresh_ports();
         }
         self.part.split(slot)
     }
 }
 
-/// The board: one microcontroller.
+/// The board, with one microcontroller.
 #[derive(Debug)]
 pub struct FlightBoard {
-    /// It.
+    /// Microcontroller with its wired pins.
     pub machine: Machine,
-    /// What is wired to what.
+    /// Wiring of the board.
     pub wiring: Arc<Wiring>,
     name: &'static str,
     factory: Image,
 }
 
 impl FlightBoard {
-    /// The board with its supply off.
+    /// Returns the board before power-on.
     ///
     /// # Errors
-    /// The description does not hold together.
+    /// The description of the microcontroller is inconsistent.
     pub fn new(wiring: Arc<Wiring>, protocol: Protocol) -> Result<Self, Error> {
-        // VREFINT_CAL, which ST's factory writes: the reference's count at 3.3 V (1.21 V of 3.3 V in 4,095).
+        // VREFINT_CAL, which ST programs in the factory: the reference's count at 3.3 V (1.21 V / 3.3 V × 4,095 = 1,501.5).
         let calibration = 1_500_u16.to_le_bytes().to_vec();
         let factory = Image::new(Path::new("vrefint_cal"), calibration, Some(0x1fff_7a2a))
             .expect("two bytes at a place of their own");
-        // Boards have names that stand, for the library.
+        // The library requires a static name.
         let name = String::leak(wiring.board.name.clone());
         Ok(Self { machine: Machine::new(wiring.clone(), protocol)?, wiring, name, factory })
     }

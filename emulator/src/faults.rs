@@ -1,4 +1,4 @@
-//! What goes wrong in a flight.
+//! The faults of a flight.
 
 use rigless::emulator::Host;
 use rigless::soc::Width;
@@ -8,49 +8,50 @@ use crate::board::{Machine, SUPPLY_MV};
 use crate::firmware::Firmware;
 use crate::rc_receiver::Protocol;
 
-/// A fault, or its end.
+/// The start or the end of a fault. A `bool` starts the fault if true and ends it if false; `None` ends it, too. Functions
+/// and symbols are given by a part of their name.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Fault {
-    /// The inertial sensor has no supply, or has it again.
+    /// The inertial sensor has no supply.
     ImuDead(bool),
-    /// It loses its settings.
-    ImuResetsItself,
-    /// One bit in every so many of its words is flipped.
-    ImuFlips(Option<u32>),
-    /// Its data-ready line stands at this level.
+    /// The inertial sensor loses its settings.
+    ImuReset,
+    /// One bit in this number of the inertial sensor's words is flipped.
+    ImuBitErrors(Option<u32>),
+    /// The data-ready line is stuck at this level.
     ReadyStuck(Option<bool>),
-    /// The magnetometer is off its connector.
+    /// The magnetometer is not connected.
     MagnetometerAbsent(bool),
-    /// Something holds the magnetometer's data line low.
+    /// The magnetometer's data line is held low.
     MagnetometerBusHeld(bool),
-    /// It was cut off in the middle of a byte, and holds its data line low until it has got so many clocks.
-    MagnetometerCutOff(u32),
-    /// The memory address of this stream of DMA2, which moves the inertial sensor's bytes, is one where nothing is, or is
-    /// the right one again.
-    StreamAstray(usize, bool),
+    /// The magnetometer was interrupted in the middle of a byte, and holds its data line low until it has received this
+    /// number of clock pulses.
+    MagnetometerInterrupted(u32),
+    /// The memory address of this stream of DMA2, which moves the inertial sensor's bytes, is unmapped.
+    StreamAddressUnmapped(usize, bool),
     /// The microcontroller's reset pin is pulled.
     ResetPin,
-    /// At its next entry each handler finds all other interrupts raised.
+    /// All other interrupts are raised at the next entry of each handler.
     AllInterrupts,
-    /// The receiver says nothing.
-    RadioSilent(bool),
-    /// Bytes at random come out of the receiver, for so many milliseconds.
-    RadioGarbage(u32),
-    /// The battery is at this voltage, whatever the scene says.
+    /// The receiver sends nothing.
+    ReceiverSilent(bool),
+    /// The receiver sends random bytes for this time, ms.
+    ReceiverGarbage(u32),
+    /// The battery has this voltage (V) instead of the scene's.
     Battery(Option<f64>),
-    /// The microcontroller's supply, mV.
+    /// The microcontroller's supply has this voltage, mV.
     Supply(u32),
-    /// The microcontroller's supply is gone, or is back.
+    /// The microcontroller's supply is switched on (true) or off (false).
     Power(bool),
-    /// The instruction at a function's beginning becomes an endless loop: the part of the function's name.
+    /// The first instruction of a function is replaced by an endless loop.
     Hang(&'static str),
-    /// The instruction at a function's beginning becomes an undefined one.
+    /// The first instruction of a function is replaced by an undefined instruction.
     Undefined(&'static str),
-    /// A function's beginning becomes a loop that reads one address after another, from where no chip has anything.
-    Strays(&'static str),
-    /// The function is as it was.
-    Mended(&'static str),
-    /// Bit `1` of every word in RAM that points to the symbol `0` is flipped.
+    /// The start of a function is replaced by a loop that reads successive unmapped addresses.
+    ReadUnmapped(&'static str),
+    /// The first instruction of a function is restored after [`Fault::Hang`] or [`Fault::Undefined`].
+    Restored(&'static str),
+    /// Bit `1` of all words in RAM that point to the symbol `0` is flipped.
     FlippedPointer(&'static str, u8),
 }
 
@@ -59,61 +60,64 @@ const ENDLESS: u64 = 0xe7fe;
 /// `udf #0`.
 const UNDEFINED: u64 = 0xde00;
 
-/// `mov.w r0, #0xf0000000`, and for ever `ldr r1, [r0]`, `adds r0, #4`, back.
-const STRAYING: [u64; 5] = [0xf04f, 0x4070, 0x6801, 0x3004, 0xe7fc];
+/// `mov.w r0, #0xf0000000`, then an endless loop of `ldr r1, [r0]` and `adds r0, #4`.
+const READ_UNMAPPED: [u64; 5] = [0xf04f, 0x4070, 0x6801, 0x3004, 0xe7fc];
 
 const RAM: std::ops::Range<u64> = 0x2000_0000..0x2002_0000;
 
-/// Faults that last.
-pub struct Active {
-    /// The magnetometer is off.
+/// The present faults.
+pub struct ActiveFaults {
+    /// Whether the magnetometer is not connected.
     pub magnetometer_absent: bool,
-    /// The receiver is silent.
-    pub radio_silent: bool,
-    /// The battery's voltage.
+    /// Whether the receiver sends nothing.
+    pub receiver_silent: bool,
+    /// Voltage of the battery instead of the scene's, V.
     pub battery_v: Option<f64>,
     garbage_until_ns: u64,
     random: u32,
-    /// Every symbol of the image, and its address.
+    /// Names and addresses of all symbols of the image.
     symbols: Vec<(String, u64)>,
-    spoiled: Vec<(&'static str, u64, u64)>,
+    /// Replaced instructions: function, address, original instruction.
+    replaced: Vec<(&'static str, u64, u64)>,
 }
 
-impl Active {
-    /// Nothing is wrong yet.
+impl ActiveFaults {
+    /// Returns the state without faults.
     pub fn new(firmware: &Firmware) -> Self {
         Self {
             magnetometer_absent: false,
-            radio_silent: false,
+            receiver_silent: false,
             battery_v: None,
             garbage_until_ns: 0,
             random: 1,
             symbols: firmware.demangled(),
-            spoiled: Vec::new(),
+            replaced: Vec::new(),
         }
     }
 
-    /// It happens.
+    /// Applies a fault.
     ///
     /// # Panics
-    /// A function or variable that the image does not have: a test that tests nothing.
+    /// The image does not have the function or variable: the test would test nothing.
     pub fn apply(&mut self, fault: Fault, machine: &mut Machine, host: &mut dyn Host, now: VirtualNanos) {
         match fault {
             Fault::ImuDead(dead) => machine.imu().faults.dead = dead,
-            Fault::ImuResetsItself => machine.imu().reset_itself(),
-            Fault::ImuFlips(every) => machine.imu().faults.flip_every = every,
+            Fault::ImuReset => machine.imu().request_reset(),
+            Fault::ImuBitErrors(every) => machine.imu().faults.flip_every = every,
             Fault::ReadyStuck(level) => machine.imu().faults.stuck_line = level,
             Fault::MagnetometerAbsent(absent) => {
                 self.magnetometer_absent = absent;
                 machine.magnetometer().absent = absent;
             }
             Fault::MagnetometerBusHeld(held) => machine.hold_magnetometer_bus(held),
-            Fault::MagnetometerCutOff(clocks) => machine.hold_magnetometer_bus_for(clocks),
-            Fault::StreamAstray(stream, astray) => machine.part.lead_stream_astray(stream, astray),
-            // Of the session, which this does not have.
-            Fault::ResetPin | Fault::AllInterrupts => unreachable!("the flight carries it out"),
-            Fault::RadioSilent(silent) => self.radio_silent = silent,
-            Fault::RadioGarbage(ms) => self.garbage_until_ns = now.0 + u64::from(ms) * 1_000_000,
+            Fault::MagnetometerInterrupted(clocks) => machine.hold_magnetometer_bus_for(clocks),
+            Fault::StreamAddressUnmapped(stream, unmapped) => {
+                machine.part.set_stream_address_unmapped(stream, unmapped);
+            }
+            // These two need the session, which is not available here.
+            Fault::ResetPin | Fault::AllInterrupts => unreachable!("the flight driver applies it"),
+            Fault::ReceiverSilent(silent) => self.receiver_silent = silent,
+            Fault::ReceiverGarbage(ms) => self.garbage_until_ns = now.0 + u64::from(ms) * 1_000_000,
             Fault::Battery(volts) => {
                 self.battery_v = volts;
                 if let Some(volts) = volts {
@@ -125,17 +129,17 @@ impl Active {
                 machine.set_supply(if on { SUPPLY_MV } else { 0 });
                 machine.part.power(now, on);
             }
-            Fault::Hang(function) => self.spoil(function, ENDLESS, host),
-            Fault::Undefined(function) => self.spoil(function, UNDEFINED, host),
-            Fault::Strays(function) => {
+            Fault::Hang(function) => self.replace(function, ENDLESS, host),
+            Fault::Undefined(function) => self.replace(function, UNDEFINED, host),
+            Fault::ReadUnmapped(function) => {
                 let address = self.find(function).unwrap_or_else(|| panic!("no function {function}"));
-                for (instruction, at) in STRAYING.into_iter().zip((address..).step_by(2)) {
+                for (instruction, at) in READ_UNMAPPED.into_iter().zip((address..).step_by(2)) {
                     host.program(at, Width::W16, instruction).expect("it is in flash");
                 }
             }
-            Fault::Mended(function) => {
-                for (_, address, was) in self.spoiled.extract_if(.., |(name, ..)| *name == function) {
-                    host.program(address, Width::W16, was).expect("it is in flash");
+            Fault::Restored(function) => {
+                for (_, address, original) in self.replaced.extract_if(.., |(name, ..)| *name == function) {
+                    host.program(address, Width::W16, original).expect("it is in flash");
                 }
             }
             Fault::FlippedPointer(symbol, bit) => {
@@ -152,20 +156,23 @@ impl Active {
         }
     }
 
-    /// Address of the symbol of this name, or else of the first with this in its name.
+    /// Returns the address of the symbol with this name, else of the first symbol whose name contains it.
     fn find(&self, part: &str) -> Option<u64> {
-        let is = self.symbols.iter().find(|(name, _)| name == part);
-        is.or_else(|| self.symbols.iter().find(|(name, _)| name.contains(part))).map(|(_, address)| *address)
+        let exact = self.symbols.iter().find(|(name, _)| name == part);
+        exact
+            .or_else(|| self.symbols.iter().find(|(name, _)| name.contains(part)))
+            .map(|(_, address)| *address)
     }
 
-    fn spoil(&mut self, function: &'static str, instruction: u64, host: &mut dyn Host) {
+    /// Replaces the first instruction of a function.
+    fn replace(&mut self, function: &'static str, instruction: u64, host: &mut dyn Host) {
         let address = self.find(function).unwrap_or_else(|| panic!("no function {function}"));
-        let was = host.read(address, Width::W16).expect("it is in flash");
+        let original = host.read(address, Width::W16).expect("it is in flash");
         host.program(address, Width::W16, instruction).expect("it is in flash");
-        self.spoiled.push((function, address, was));
+        self.replaced.push((function, address, original));
     }
 
-    /// What lasts, at each stop.
+    /// Sends garbage from the receiver while that fault lasts; call it at each stop.
     pub fn run(&mut self, machine: &mut Machine, now_ns: u64) {
         if now_ns < self.garbage_until_ns && machine.receiver().is_idle() {
             // xorshift32 (Marsaglia 2003).

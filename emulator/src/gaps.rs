@@ -1,4 +1,4 @@
-//! What the firmware asked of the board that no model answers, or that the manual forbids.
+//! Gaps: accesses of the firmware that no model covers, or that the manual forbids.
 
 use std::collections::BTreeMap;
 
@@ -7,10 +7,10 @@ use rigless::session::Session;
 use crate::board::FlightBoard;
 use crate::rules::Rules;
 
-/// Gaps that are known, each with its reason after a tab: `gaps.txt`.
+/// Known gaps, each with its reason after a tab.
 const EXPLAINED: &str = include_str!("../gaps.txt");
 
-/// All of them, a line each, without those that are explained.
+/// Returns all gaps except the known ones, one line each.
 pub fn list(
     session: &Session<FlightBoard>,
     in_ccm: &BTreeMap<(usize, usize), u64>,
@@ -18,20 +18,23 @@ pub fn list(
 ) -> Vec<String> {
     let mut gaps = Vec::new();
     for unmapped in session.unmapped() {
-        gaps.push(format!("nothing at {:#010x}, from {:#010x}", unmapped.address, unmapped.program_counter));
+        gaps.push(format!(
+            "unmapped address {:#010x}, accessed from {:#010x}",
+            unmapped.address, unmapped.program_counter
+        ));
     }
     for (address, fault) in session.refused() {
-        gaps.push(format!("refused at {address:#010x}: {fault:?}"));
+        gaps.push(format!("refused access at {address:#010x}: {fault:?}"));
     }
     for found in session.unimplemented().values() {
         gaps.push(format!(
-            "no model of {}.{}: {} reads, {} writes, from {:#010x}",
+            "no model of {}.{}: {} reads, {} writes, accessed from {:#010x}",
             found.instance, found.register, found.reads, found.writes, found.program_counter
         ));
     }
     for (address, found) in session.undefined() {
         gaps.push(format!(
-            "no register at {address:#010x} of {}, from {:#010x}",
+            "no register at {address:#010x} of {}, accessed from {:#010x}",
             found.instance, found.program_counter
         ));
     }
@@ -39,10 +42,12 @@ pub fn list(
         gaps.push(format!("{}.{}: {}", told.instance, told.register, told.reason));
     }
     for (instance, number) in session.unrouted() {
-        gaps.push(format!("no line {number} for {instance}"));
+        gaps.push(format!("no interrupt line {number} for {instance}"));
     }
     for ((controller, stream), from) in in_ccm {
-        gaps.push(format!("DMA{controller} stream {stream} reaches for the CCM, from {from:#010x}"));
+        gaps.push(format!(
+            "DMA{controller} stream {stream}: the memory address is in the CCM, which DMA cannot reach; set from {from:#010x}"
+        ));
     }
     gaps.extend(rules.violations());
     gaps.retain(|gap| !explained().any(|known| gap.starts_with(known)));

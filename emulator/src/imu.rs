@@ -1,10 +1,10 @@
-//! The inertial sensor on its board: an ICM-42688-P, its INT1 line, and what can go wrong with them.
+//! The inertial sensor on its board: an ICM-42688-P, its INT1 line, and their faults.
 //!
-//! The chip is `rigless`'s model. It has no line back to a pin, so INT1 is made here from the settings that cross the
-//! bus (datasheet DS-000347 rev 1.6): data ready on INT1 (`INT_SOURCE0` bit 3), polarity and mode (`INT_CONFIG`),
-//! `INT_ASYNC_RESET` cleared (14.52: without that the pins do not work properly; here: not at all). A sample is due at
-//! each multiple of the period after the instant at which the output data rate began, as in the model's own
-//! registers, so the line is in phase with the data.
+//! The chip is `rigless`'s model, which has no interrupt output. This module makes INT1 from the settings that the firmware
+//! writes (datasheet DS-000347 rev 1.6): data ready on INT1 (`INT_SOURCE0` bit 3), polarity and mode (`INT_CONFIG`), and
+//! `INT_ASYNC_RESET` cleared (14.52: otherwise the pins do not work properly; here they do not work at all). A sample is due
+//! at each multiple of the period after the start of the output data rate. The model's registers use the same times, so the
+//! line is in phase with the data.
 
 use rigless::chip::Timeline;
 use rigless::chip::icm42688p::Icm42688p;
@@ -27,21 +27,21 @@ const INT_SOURCE0: u8 = 0x65;
 const REG_BANK_SEL: u8 = 0x76;
 const READ: u8 = 0x80;
 
-/// Lowest count that the chip's registers can hold for a valid sample (14.34).
-const LOWEST: i16 = -32_766;
+/// Minimum count of a valid sample in the chip's registers (14.34).
+const MIN_COUNT: i16 = -32_766;
 
-/// What is wrong with the sensor, each from some moment on.
+/// Present faults of the sensor.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 pub struct Faults {
-    /// No supply: the data line reads ones, nothing comes over INT1.
+    /// The sensor has no supply: the data line reads ones, and INT1 is low.
     pub dead: bool,
-    /// INT1 stands at this level.
+    /// INT1 is stuck at this level.
     pub stuck_line: Option<bool>,
-    /// One bit in every so many words from the chip is flipped.
+    /// On average, one bit in this number of words from the chip is flipped.
     pub flip_every: Option<u32>,
 }
 
-/// Where the bytes of a transaction are.
+/// Phase of an SPI transaction.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 enum Phase {
     #[default]
@@ -54,25 +54,25 @@ enum Phase {
 #[derive(Debug, serde::Serialize, serde::Deserialize)]
 pub struct Imu {
     chip: Icm42688p,
-    /// What is wrong with it.
+    /// Present faults.
     pub faults: Faults,
-    /// The chip resets itself at the next chance.
-    reset_itself: bool,
+    /// Whether the chip resets itself before the next transaction.
+    reset_requested: bool,
     phase: Phase,
     bank: u8,
     /// INT_CONFIG, INT_CONFIG1, INT_SOURCE0, as written.
     int_config: [u8; 3],
     /// PWR_MGMT0, GYRO_CONFIG0, ACCEL_CONFIG0, as written.
     rate_config: [u8; 3],
-    /// When the output data rate began, and its period, ns.
+    /// Start of the output data rate, and its period, ns.
     grid: Option<(u64, u64)>,
     due: Option<(EventId, u64)>,
     pulse_ends: Option<EventId>,
     sampled: bool,
-    /// The sample that was due was not taken: the registers hold the one before.
-    withheld: bool,
+    /// Whether the last sample was not taken: the registers still hold the sample before it.
+    skipped: bool,
     int1: bool,
-    /// Counts that the chip's registers can't hold as a measurement, to be read in their place.
+    /// Counts that the model's registers can't hold as a valid sample; they are read in place of the registers.
     raw: Option<[i16; 6]>,
     words: u32,
 }
@@ -86,12 +86,12 @@ impl Default for Imu {
 }
 
 impl Imu {
-    /// A sensor whose supply has just come up.
+    /// Returns a sensor just after power-on.
     pub fn new() -> Self {
         Self {
             chip: Icm42688p::new(),
             faults: Faults::default(),
-            reset_itself: false,
+            reset_requested: false,
             phase: Phase::Address,
             bank: 0,
             int_config: [0, 0x10, 0],
@@ -100,27 +100,27 @@ impl Imu {
             due: None,
             pulse_ends: None,
             sampled: false,
-            withheld: false,
+            skipped: false,
             int1: false,
             raw: None,
             words: 0,
         }
     }
 
-    /// When the next sample is due, ns; `None` while the chip takes none.
+    /// Returns the time of the next sample, ns; `None` while the chip takes no samples.
     pub fn next_sample_ns(&self) -> Option<u64> {
         self.due.map(|(_, at)| at).filter(|_| !self.faults.dead)
     }
 
-    /// Whether a sample was due since this was last asked.
+    /// Returns whether a sample was due since the last call.
     pub fn take_sampled(&mut self) -> bool {
         std::mem::take(&mut self.sampled) && !self.faults.dead
     }
 
-    /// What the sensor measures from now on, counts of ±2,000 °/s and ±16 g along its own axes.
-    pub fn measure(&mut self, gyro: [i16; 3], accel: [i16; 3]) {
-        // The model takes thousandths of a degree a second and millionths of g, and rounds to counts of 2,000/2¹⁵
-        // °/s and 1/2,048 g, which are 61 and 488 of its units: every count comes back as it was.
+    /// Sets the present measurement: counts of ±2,000 °/s and ±16 g along the chip's axes.
+    pub fn set_counts(&mut self, gyro: [i16; 3], accel: [i16; 3]) {
+        // The model's inputs are in 0.001 °/s and 10⁻⁶ g. It rounds them to counts of 2,000/2¹⁵ °/s and 1/2,048 g, which
+        // are 61 and 488 of these units: the conversion reproduces each count exactly.
         let [x, y, z] = gyro.map(|counts| rounded(i64::from(counts) * 2_000_000, 32_768));
         self.chip.set_rate(x, y, z);
         let [x, y, z] = accel.map(|counts| rounded(i64::from(counts) * 1_000_000, 2_048));
@@ -128,24 +128,24 @@ impl Imu {
         let [gx, gy, gz] = gyro;
         let [ax, ay, az] = accel;
         let all = [ax, ay, az, gx, gy, gz];
-        self.raw = all.iter().any(|&counts| counts < LOWEST).then_some(all);
+        self.raw = all.iter().any(|&counts| counts < MIN_COUNT).then_some(all);
     }
 
-    /// Data are ready: INT1 says so, if it is to.
-    pub fn ready(&mut self) {
-        self.withheld = false;
+    /// Raises INT1 for a new sample, if the settings enable it.
+    pub fn signal_ready(&mut self) {
+        self.skipped = false;
         let [_, config1, source] = self.int_config;
         if source & 0x08 != 0 && config1 & 0x10 == 0 {
             self.int1 = true;
         }
     }
 
-    /// The sample that is due is not taken.
-    pub fn withhold(&mut self) {
-        self.withheld = true;
+    /// Skips the sample that is due.
+    pub fn skip_sample(&mut self) {
+        self.skipped = true;
     }
 
-    /// Level of the pin INT1.
+    /// Returns the level of the pin INT1.
     pub fn int1(&self) -> bool {
         if self.faults.dead {
             return false;
@@ -154,13 +154,13 @@ impl Imu {
         self.faults.stuck_line.unwrap_or(self.int1 == active_high)
     }
 
-    /// The chip loses its settings, as after a dip of its own supply.
-    pub fn reset_itself(&mut self) {
-        self.reset_itself = true;
-        self.forget();
+    /// Makes the chip lose its settings, as after a dip of its supply.
+    pub fn request_reset(&mut self) {
+        self.reset_requested = true;
+        self.clear_settings();
     }
 
-    fn forget(&mut self) {
+    fn clear_settings(&mut self) {
         self.bank = 0;
         self.int_config = [0, 0x10, 0];
         self.rate_config = [0, 0x06, 0x06];
@@ -171,9 +171,9 @@ impl Imu {
         self.sampled = false;
     }
 
-    /// Carries a reset of its own out, which the model does only over its bus.
-    fn carry_out_reset(&mut self, context: &mut Timeline<'_, '_>) {
-        if !std::mem::take(&mut self.reset_itself) {
+    /// Does a requested reset. The model can be reset only over its bus.
+    fn do_requested_reset(&mut self, context: &mut Timeline<'_, '_>) {
+        if !std::mem::take(&mut self.reset_requested) {
             return;
         }
         for (address, value) in [(REG_BANK_SEL, 0), (DEVICE_CONFIG, 0x01)] {
@@ -184,7 +184,8 @@ impl Imu {
         }
     }
 
-    fn written(&mut self, address: u8, value: u8, context: &mut Timeline<'_, '_>) {
+    /// Updates the copies of the settings after a write to a register.
+    fn on_write(&mut self, address: u8, value: u8, context: &mut Timeline<'_, '_>) {
         if address == REG_BANK_SEL {
             self.bank = value & 0x07;
         }
@@ -192,21 +193,22 @@ impl Imu {
             return;
         }
         match address {
-            DEVICE_CONFIG if value & 0x01 != 0 => self.forget(),
+            DEVICE_CONFIG if value & 0x01 != 0 => self.clear_settings(),
             INT_CONFIG => self.int_config[0] = value,
             INT_CONFIG1 => self.int_config[1] = value,
             INT_SOURCE0 => self.int_config[2] = value,
-            PWR_MGMT0 => self.retime(0, value, context),
-            GYRO_CONFIG0 => self.retime(1, value, context),
-            ACCEL_CONFIG0 => self.retime(2, value, context),
+            PWR_MGMT0 => self.set_rate_register(0, value, context),
+            GYRO_CONFIG0 => self.set_rate_register(1, value, context),
+            ACCEL_CONFIG0 => self.set_rate_register(2, value, context),
             _ => {}
         }
     }
 
-    fn retime(&mut self, n: usize, value: u8, context: &mut Timeline<'_, '_>) {
+    /// Stores one of the three registers that determine the output data rate, and restarts the rate if it changes.
+    fn set_rate_register(&mut self, n: usize, value: u8, context: &mut Timeline<'_, '_>) {
         self.rate_config[n] = value;
         let [power, gyro, accel] = self.rate_config;
-        // Both sensors in low-noise mode at one of the common rates (14.36 to 14.38); the driver uses no other.
+        // Low-noise mode and the common rates only (14.36 to 14.38), because the driver uses no others.
         let period = |code: u8| match code & 0x0f {
             3 => Some(125_000),
             4 => Some(250_000),
@@ -231,8 +233,8 @@ impl Imu {
         });
     }
 
-    /// The byte as it crosses the wires.
-    fn spoiled(&mut self, address: u8, byte: u8) -> u8 {
+    /// Returns a byte from the chip with the effects of faults, as it appears on the bus.
+    fn with_faults(&mut self, address: u8, byte: u8) -> u8 {
         let mut byte = byte;
         if let Some(raw) = &self.raw
             && self.bank == 0
@@ -242,12 +244,12 @@ impl Imu {
             byte = raw[at / 2].to_be_bytes()[at % 2];
         }
         // DATA_RDY_INT.
-        if self.withheld && self.bank == 0 && address == INT_STATUS {
+        if self.skipped && self.bank == 0 && address == INT_STATUS {
             byte &= !0x08;
         }
         self.words = self.words.wrapping_add(1);
         if let Some(every) = self.faults.flip_every {
-            // A multiplicative hash, so that neither words nor bits come in a row.
+            // A multiplicative hash spreads the errors over words and bits.
             let hash = self.words.wrapping_mul(0x9e37_79b1);
             if (hash >> 7).is_multiple_of(every) {
                 byte ^= 1 << (hash & 7);
@@ -264,7 +266,7 @@ fn rounded(numerator: i64, denominator: i64) -> i32 {
 
 impl Peer for Imu {
     fn select(&mut self, context: &mut Timeline<'_, '_>) {
-        self.carry_out_reset(context);
+        self.do_requested_reset(context);
         self.phase = Phase::Address;
         self.chip.select(context);
     }
@@ -290,10 +292,10 @@ impl Peer for Imu {
                 if address == INT_STATUS && self.bank == 0 && self.int_config[0] & 0x04 != 0 {
                     self.int1 = false;
                 }
-                u32::from(self.spoiled(address, answer))
+                u32::from(self.with_faults(address, answer))
             }
             Phase::Write(address) => {
-                self.written(address, sent, context);
+                self.on_write(address, sent, context);
                 u32::from(answer)
             }
         }
@@ -303,7 +305,7 @@ impl Peer for Imu {
         if self.due.is_some_and(|(due, _)| due == event) {
             self.sampled = true;
             self.schedule(context);
-            // Pulsed unless latched.
+            // In pulsed mode the line falls after the pulse; in latched mode it stays.
             if self.int_config[0] & 0x04 == 0 {
                 self.pulse_ends = Some(context.schedule(VirtualNanos(context.now().0 + PULSE_NS)));
             }

@@ -1,26 +1,27 @@
-//! Flies the flash image, unmodified and byte for byte what `cargo flash-fw` programs, on a register-level model of
-//! the board, in a scene's world.
+//! Flies the flash image on a register-level model of the board, in the world of a scene. The image is byte for byte the
+//! one that `cargo flash-fw` programs.
 //!
 //! ```text
 //!  scene ──► World (sim-host) ── counts, volts, frames ──► chips ── SPI, I2C, ADC, UART ──► STM32F405 ◄── ELF image
 //!              ▲                                                                              │
 //!              └── rotors ◄── ESCs ◄──────────── edges at the motor pads ◄────────────────────┘
 //! ```
-//! | module | what |
+//! | module | content |
 //! |---|---|
-//! | [`chip`] | the microcontroller: `rigless`'s models of its peripherals, and what they lack |
+//! | [`chip`] | the microcontroller: the peripheral models of `rigless`, and additions to them |
 //! | [`board`] | the wiring table of a board, and the chips at its pins |
-//! | [`imu`], [`magnetometer`], [`receiver`] | the chips, with what can go wrong with them |
-//! | [`pads`] | what an ESC makes of the edges at its pad |
-//! | [`flight`] | the flight: the world on the one side, the board on the other |
-//! | [`faults`] | what goes wrong in a flight |
-//! | [`firmware`] | the image, checked |
-//! | [`vectors`], [`rules`], [`gaps`], [`timing`], [`log`] | what is watched meanwhile |
+//! | [`imu`], [`magnetometer`], [`rc_receiver`] | the chips, and their faults |
+//! | [`pads`] | the ESCs: they decode the edges at the motor pads |
+//! | [`flight`] | the flight: connects the simulated world to the board |
+//! | [`faults`] | the faults of a flight |
+//! | [`firmware`] | the image and its checks |
+//! | [`vectors`], [`rules`], [`gaps`], [`timing`], [`log`] | observation of the firmware during the flight |
 //!
-//! # What this shows, and what it does not
-//! The registers are modelled after ST's reference manual by people who had no part in this firmware; what the manual
-//! forbids is reported. Time is counted in instructions, [`timing::INSTRUCTIONS_PER_SECOND`]: there are no wait states,
-//! no caches and no contention on the bus, and so no cycle is exact. It is not a board.
+//! # What this shows, and what it does not show
+//! The authors of `rigless`, who had no part in this firmware, modelled the registers after ST's reference manual. The
+//! models report accesses that the manual forbids. Time is counted in instructions
+//! ([`timing::INSTRUCTIONS_PER_SECOND`]), without wait states, caches or contention on the bus, so the cycle count is not
+//! exact. The emulator does not replace a test on a board.
 #![forbid(unsafe_code)]
 #![warn(missing_docs)]
 

@@ -1,4 +1,4 @@
-//! The firmware's log, fetched from the memory of the emulated chip as a debug probe fetches it from a real one.
+//! The firmware's log, read from the memory of the emulated chip as a debug probe reads it from a real chip.
 
 use std::io::{self, Write as _};
 
@@ -9,7 +9,7 @@ use rigless::soc::Width;
 
 use crate::firmware::Firmware;
 
-/// The log so far.
+/// The firmware's log.
 pub struct Log {
     decoder: Decoder,
     control_block: u32,
@@ -18,51 +18,52 @@ pub struct Log {
 }
 
 impl Log {
-    /// The log of an image that has not started yet.
+    /// Returns the empty log of an image; `print` prints its lines on standard error.
     ///
     /// # Errors
-    /// The image has none.
+    /// The image has no log.
     pub fn new(firmware: &Firmware, print: bool) -> Result<Self, InputError> {
-        let refused = |why: String| InputError::new(why).file(firmware.name());
+        let refused = |reason: String| InputError::new(reason).file(firmware.name());
         let decoder = Decoder::new(firmware.elf()).map_err(|error| refused(error.to_string()))?;
         let control_block = rtt_control_block(firmware.elf()).ok_or_else(|| refused("has no log".into()))?;
         Ok(Self { decoder, control_block, lines: Vec::new(), print })
     }
 
-    /// Takes what is new.
+    /// Reads the new lines from the chip's memory.
     pub fn fetch(&mut self, host: &mut dyn Host) {
         let bytes = match drain(&mut Guest(host), self.control_block) {
             Ok(bytes) => bytes,
-            // Between a reset and the firmware's first line.
+            // The firmware has not set up the ring yet.
             Err(RttError::NotThere) => return,
             Err(error) => {
-                self.take(error.to_string());
+                self.add(error.to_string());
                 return;
             }
         };
         for line in self.decoder.push(&bytes) {
-            self.take(line.to_string());
+            self.add(line.to_string());
         }
     }
 
-    fn take(&mut self, line: String) {
-        // An error that stands comes back at every look.
+    fn add(&mut self, line: String) {
+        // A persistent error occurs at each fetch: keep it once.
         if self.lines.last() == Some(&line) {
             return;
         }
         if self.print {
-            // A reader that has gone away is no reason to end the flight.
+            // A closed standard error must not end the flight.
             let _ = writeln!(io::stderr(), "{line}");
         }
         self.lines.push(line);
     }
 
-    /// The lines.
+    /// Returns all lines.
     pub fn into_lines(self) -> Vec<String> {
         self.lines
     }
 }
 
+/// The memory of the emulated chip.
 struct Guest<'a>(&'a mut dyn Host);
 
 impl Memory for Guest<'_> {

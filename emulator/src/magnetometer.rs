@@ -1,4 +1,4 @@
-//! The magnetometer on its connector: a QMC5883L, and what can go wrong with it.
+//! The magnetometer on its connector: a QMC5883L, and its faults.
 
 use rigless::chip::Timeline;
 use rigless::chip::i2c::Peer;
@@ -10,11 +10,11 @@ use rigless::time::EventId;
 #[derive(Debug, serde::Serialize, serde::Deserialize)]
 pub struct Magnetometer {
     chip: Qmc5883l,
-    /// Off its connector: nothing is acknowledged.
+    /// Whether the sensor is not connected: it acknowledges nothing.
     pub absent: bool,
     reading: bool,
     last: bool,
-    /// A transfer was ended although its last byte was acknowledged: the chip goes on to send.
+    /// Whether a transfer was ended although its last byte was acknowledged: the chip continues to send.
     sends_on: bool,
 }
 
@@ -27,25 +27,25 @@ impl Default for Magnetometer {
 }
 
 impl Magnetometer {
-    /// A sensor whose supply has just come up.
+    /// Returns a sensor just after power-on.
     pub fn new() -> Self {
         Self { chip: Qmc5883l::new(), absent: false, reading: false, last: false, sends_on: false }
     }
 
-    /// Whether it goes on to send, because the last byte of a transfer was acknowledged.
+    /// Returns whether the chip continues to send, because the last byte of a transfer was acknowledged.
     pub fn sends_on(&self) -> bool {
         self.sends_on
     }
 
-    /// It has got the clocks to finish what it was sending.
-    pub fn finish(&mut self) {
+    /// Ends the present transfer, after enough clock pulses.
+    pub fn end_transfer(&mut self) {
         self.reading = false;
         self.sends_on = false;
     }
 
-    /// What the sensor measures from now on, counts of ±8 G along its own axes.
-    pub fn measure(&mut self, counts: [i16; 3]) {
-        // 3,000 counts a gauss; a gauss is 100,000 nT.
+    /// Sets the present measurement: counts of ±8 G along the chip's axes.
+    pub fn set_counts(&mut self, counts: [i16; 3]) {
+        // 3,000 counts are 1 gauss, which is 100,000 nT.
         let [x, y, z] = counts.map(|counts| {
             let nanotesla = i64::from(counts) * 100_000;
             ((nanotesla + 1_500 * nanotesla.signum()) / 3_000) as i32

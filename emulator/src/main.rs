@@ -1,7 +1,7 @@
-//! `emulator`: the flash image flies a scene.
+//! The command `emulator`: flies a scene with the flash image.
 //!
-//! Results go to standard output (with `--json` as one object, and nothing else), the firmware's log and notes to
-//! standard error. Exit codes: 0 done, 1 the flight failed, 2 bad input or usage.
+//! Results go to standard output (with `--json` only one JSON object); the firmware's log and notes go to standard error.
+//! Exit codes: 0 success, 1 the flight failed, 2 bad input or usage.
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -21,51 +21,60 @@ use serde_json::{Value, json};
 use sim_host::command::{Answer, conclude};
 use sim_host::flight::{FlightLog, summary};
 use sim_host::interrupt;
-use sim_host::output_file::spare;
+use sim_host::output_file::check_outputs;
 use sim_host::scene::Scene;
+
+/// Examples at the end of the help.
+const EXAMPLES: &str = "\
+Example:
+  emulator hover --duration 14 --log hover.csv
+  emulator windy-landing --vehicle five-inch --receiver sbus --firmware-log
+
+From the sources, `cargo run --release -p emulator -- SCENE` is `emulator SCENE`.";
 
 #[derive(Parser)]
 #[command(
     name = "emulator",
     version,
-    about = "The flash image flies a scene, on a register-level model of the board",
-    arg_required_else_help = true
+    about = "Fly a scene with the flash image on a register-level model of the board",
+    arg_required_else_help = true,
+    after_help = EXAMPLES
 )]
 struct Arguments {
-    /// A built-in scene or a scene file
+    /// Built-in scene or scene file
     scene: String,
-    /// The vehicle, built-in or a file, instead of the scene's; its configuration is in the board's flash
+    /// Built-in vehicle or vehicle file instead of the scene's; its configuration is stored in the board's flash
     #[arg(long, value_name = "NAME|F.toml")]
     vehicle: Option<String>,
-    /// Seed of every random stream, instead of the scene's
+    /// Seed of all random streams instead of the scene's
     #[arg(long, value_name = "N")]
     seed: Option<u64>,
-    /// Length of the flight in seconds, instead of the scene's
+    /// Duration of the flight in seconds instead of the scene's
     #[arg(long, value_name = "S", allow_negative_numbers = true)]
     duration: Option<f64>,
-    /// The image; without it, the one that `cargo flash-fw` programs is built from the sources
+    /// Image to fly; the default is the one that `cargo flash-fw` programs, built from the sources
     #[arg(long, value_name = "ELF")]
     image: Option<PathBuf>,
-    /// The board, built-in or a file; without it, the image's, or speedybee-f405-v4
+    /// Built-in board or board file; the default is the image's board, or speedybee-f405-v4 without --image
     #[arg(long, value_name = "NAME|F.toml")]
     board: Option<String>,
-    /// What the receiver receiver speaks
+    /// Protocol of the RC receiver
     #[arg(long, value_enum, value_name = "PROTOCOL", default_value_t = Protocol::Crsf)]
     receiver: Protocol,
-    /// Print the firmware's log on standard error, with its time
+    /// Print the firmware's log with its times on standard error
     #[arg(long)]
     firmware_log: bool,
-    /// Write the sensor log, truth and pulses of the flight
+    /// Write a log of the flight: sensor samples, truth and pulses
     #[arg(long, value_name = "F.csv")]
     log: Option<PathBuf>,
-    /// Print one JSON object on standard output and nothing else there
+    /// Print only one JSON object on standard output
     #[arg(long)]
     json: bool,
 }
 
 fn main() -> ExitCode {
     let arguments = Arguments::parse();
-    interrupt::listen();
+    interrupt::install_handler();
     conclude(run(&arguments), arguments.json)
 }
 
@@ -78,13 +87,13 @@ fn run(arguments: &Arguments) -> Result<Answer, InputError> {
         scene.set_duration(duration_s).map_err(|error| error.field("--duration"))?;
     }
     if scene.pilot.is_none() {
-        let allowed = "is missing: nobody flies in this scene; `sim-host scenes` lists those that are flown";
+        let allowed = "is missing: the emulator flies only scenes with a pilot; `sim-host scenes` lists them";
         return Err(InputError::new(allowed).file(&scene.name).field("pilot"));
     }
     let mut inputs = scene.inputs();
     inputs.extend(arguments.image.as_deref());
     inputs.extend(arguments.board.as_deref().map(Path::new));
-    spare(&inputs, &[("--log", arguments.log.as_deref())])?;
+    check_outputs(&inputs, &[("--log", arguments.log.as_deref())])?;
     let named = arguments.board.as_deref();
     let read = arguments.image.as_deref().map(Firmware::read).transpose()?;
     let wiring = Arc::new(Wiring::new(board_of(named, read.as_ref())?, &scene.design));
@@ -104,8 +113,8 @@ fn run(arguments: &Arguments) -> Result<Answer, InputError> {
     let start = Instant::now();
     let (flown, log) = flight::fly(&scene, scene.seed, settings, log)?;
     let wall_s = start.elapsed().as_secs_f64();
-    // A flight that was broken off leaves no file that reads like a short one.
-    if let Some(log) = log.filter(|_| flown.broken_off.is_none()) {
+    // The log of an aborted flight is dropped, because it would look like the log of a short flight.
+    if let Some(log) = log.filter(|_| flown.aborted.is_none()) {
         log.finish()?;
     }
     let violations = violations(&flown);
@@ -116,29 +125,29 @@ fn run(arguments: &Arguments) -> Result<Answer, InputError> {
     })
 }
 
-/// The board that is flown: that of `--board`, or of the image, or the default one.
+/// Returns the board to fly: that of `--board`, else that of the image, else the default board.
 fn board_of(named: Option<&str>, image: Option<&Firmware>) -> Result<Board, InputError> {
     let load = |name: &str| {
-        // What is wrong within a file names the file.
+        // An error within the board's file names that file instead of the option.
         Board::load(name).map_err(|error| if error.has_file() { error } else { error.field("--board") })
     };
     let Some(image) = image else { return load(named.unwrap_or(board::DEFAULT)) };
     let of_image = image.board();
     let board = load(named.unwrap_or(&of_image)).map_err(|error| match named {
         Some(_) => error,
-        None => InputError::new(format!("is for the board {of_image}, whose file --board must name"))
+        None => InputError::new(format!("is for the board {of_image}: give its file with --board"))
             .file(image.name()),
     })?;
     if board.name != of_image {
-        let allowed = format!("is for the board {of_image}, and --board says {}", board.name);
+        let allowed = format!("is for the board {of_image}, but --board is {}", board.name);
         return Err(InputError::new(allowed).file(image.name()));
     }
     Ok(board)
 }
 
-/// Builds the image for a board and a vehicle, as `cargo flash-fw` does with the variables that name them.
+/// Builds the image for a board and a vehicle, as `cargo flash-fw` does with `KESTREL_BOARD` and `KESTREL_VEHICLE`.
 fn build(board: Option<&str>, vehicle: &str) -> Result<Firmware, InputError> {
-    // A path is from where the command was started.
+    // A path is relative to the directory in which the command was started, and the build runs in another one.
     let place = |name: &str| match std::path::absolute(name) {
         Ok(path) if name.ends_with(".toml") => path.display().to_string(),
         _ => name.to_owned(),
@@ -152,10 +161,10 @@ fn build(board: Option<&str>, vehicle: &str) -> Result<Firmware, InputError> {
     Firmware::build(&variables)
 }
 
-/// What is not as it must be.
+/// Returns the reasons for which the flight failed.
 fn violations(flown: &Flown) -> Vec<String> {
     let mut violations = Vec::new();
-    violations.extend(flown.broken_off.clone());
+    violations.extend(flown.aborted.clone());
     if let Some((crash, at_s)) = flown.outcome.crash {
         violations.push(format!("crashed at {at_s:.3} s: {}", crash.text()));
     }
@@ -163,20 +172,20 @@ fn violations(flown: &Flown) -> Vec<String> {
     match refusal.into_iter().find(|event| event.is_refusal()) {
         _ if flown.armed => {}
         Some(event) => violations.push(format!("did not arm: {}", event.cause.text())),
-        None => violations.push("did not arm, and was not asked to".into()),
+        None => violations.push("did not arm: the pilot never commanded it".into()),
     }
     if flown.armed && flown.took_off == Some(false) {
         violations.push("did not take off".into());
     }
-    for (count, one) in [
+    for (count, noun) in [
         (flown.resets.len(), "reset"),
         (flown.missed_deadlines as usize, "missed deadline"),
         (flown.gaps.len(), "gap"),
     ] {
         match count {
             0 => {}
-            1 => violations.push(format!("1 {one}")),
-            _ => violations.push(format!("{count} {one}s")),
+            1 => violations.push(format!("1 {noun}")),
+            _ => violations.push(format!("{count} {noun}s")),
         }
     }
     violations.extend(flown.unserved.iter().cloned());
@@ -184,18 +193,21 @@ fn violations(flown: &Flown) -> Vec<String> {
 }
 
 fn verdict(flown: &Flown, violations: &[String]) -> String {
-    if let Some(why) = &flown.broken_off {
-        return format!("BROKEN OFF at {:.3} s: {why}", flown.outcome.flown_s());
+    if let Some(reason) = &flown.aborted {
+        return format!("ABORTED at {:.3} s: {reason}", flown.outcome.flown_s());
     }
     let verdict = summary::verdict(&flown.outcome);
-    // A crash is the verdict already.
-    let besides: Vec<&str> =
-        violations.iter().map(String::as_str).filter(|what| !what.starts_with("crashed at")).collect();
-    if besides.is_empty() { verdict } else { format!("{verdict}, BUT {}", besides.join("; ")) }
+    // The verdict already names a crash.
+    let others: Vec<&str> = violations
+        .iter()
+        .map(String::as_str)
+        .filter(|violation| !violation.starts_with("crashed at"))
+        .collect();
+    if others.is_empty() { verdict } else { format!("{verdict}, BUT {}", others.join("; ")) }
 }
 
-/// A `String` never refuses to be written to.
-const TAKES_ALL: &str = "a String takes everything";
+/// Message of the `expect` on writes to a `String`.
+const NEVER_FAILS: &str = "writing to a String does not fail";
 
 fn describe(
     scene: &Scene,
@@ -214,53 +226,53 @@ fn describe(
          board                    {}\n  \
          image                    {}\n  \
          image's SHA-256          {}\n  \
-         motor pads               {protocol}, {} commands, {} garbled\n  \
+         motor pads               {protocol}, {} commands, {} invalid pulses or frames\n  \
          resets                   {}\n  \
          missed deadlines         {}\n  \
          instructions             {}, {:.1} % of the time\n  \
          data ready to handler    {:.2} to {:.2} us; jitter of the time stamp {:.1} us\n  \
-         data ready to motors     mean {:.1} us, most {:.1} us; instructions mean {:.0}, most {}\n  \
+         data ready to motors     mean {:.1} us, maximum {:.1} us; instructions mean {:.0}, maximum {}\n  \
          gaps                     {}",
         wiring.board.title,
         firmware.name(),
         firmware.sha256(),
         flown.escs.iter().map(|esc| esc.commands.len()).sum::<usize>(),
-        flown.escs.iter().map(|esc| esc.garbled).sum::<u64>(),
+        flown.escs.iter().map(|esc| esc.invalid).sum::<u64>(),
         flown.resets.len(),
         flown.missed_deadlines,
         flown.instructions,
         flown.instructions as f64 / (flown.outcome.flown_s() * INSTRUCTIONS_PER_SECOND as f64) * 100.0,
-        timing.entry_ns.least as f64 * 1e-3,
-        timing.entry_ns.most as f64 * 1e-3,
+        timing.entry_ns.min as f64 * 1e-3,
+        timing.entry_ns.max as f64 * 1e-3,
         timing.stamp_jitter_ns() as f64 * 1e-3,
         timing.latency_ns.mean() * 1e-3,
-        timing.latency_ns.most as f64 * 1e-3,
+        timing.latency_ns.max as f64 * 1e-3,
         timing.latency_instructions.mean(),
-        timing.latency_instructions.most,
+        timing.latency_instructions.max,
         flown.gaps.len(),
     )
-    .expect(TAKES_ALL);
+    .expect(NEVER_FAILS);
     for gap in &flown.gaps {
-        write!(text, "\n    {gap}").expect(TAKES_ALL);
+        write!(text, "\n    {gap}").expect(NEVER_FAILS);
     }
     for (handler, runs) in wiring.handlers.iter().zip(&timing.runs) {
         let name = format!("{}: {}", handler.vector, handler.task);
         write!(
             text,
-            "\n  priority {} {name:<28} {} runs, instructions mean {:.0}, most {}, {:.2} % of the time",
+            "\n  priority {} {name:<28} {} runs, instructions mean {:.0}, maximum {}, {:.2} % of the time",
             handler.priority,
             runs.count(),
             runs.mean(),
-            runs.most,
+            runs.max,
             runs.share_of_time(flown.outcome.flown_s()) * 100.0
         )
-        .expect(TAKES_ALL);
+        .expect(NEVER_FAILS);
     }
     for (at_s, state) in &flown.states {
-        write!(text, "\n  {at_s:7.3} s  {}", state.name()).expect(TAKES_ALL);
+        write!(text, "\n  {at_s:7.3} s  {}", state.name()).expect(NEVER_FAILS);
     }
     for (at_s, cause) in &flown.resets {
-        write!(text, "\n  {at_s:7.3} s  reset: {cause}").expect(TAKES_ALL);
+        write!(text, "\n  {at_s:7.3} s  reset: {cause}").expect(NEVER_FAILS);
     }
     text
 }
@@ -291,15 +303,15 @@ fn to_json(
         "states": flown.states.iter().map(|(at_s, state)| json!({ "at_s": (at_s * 1e3).round() / 1e3, "state": state.name() })).collect::<Vec<_>>(),
         "pads_digest": format!("{:016x}", flown.pads_digest),
         "latency_instructions_mean": timing.latency_instructions.mean(),
-        "latency_instructions_max": timing.latency_instructions.most,
-        "latency_us_max": timing.latency_ns.most as f64 * 1e-3,
+        "latency_instructions_max": timing.latency_instructions.max,
+        "latency_us_max": timing.latency_ns.max as f64 * 1e-3,
         "handlers": wiring.handlers.iter().zip(&timing.runs).map(|(handler, runs)| json!({
             "vector": handler.vector, "task": handler.task, "priority": handler.priority, "runs": runs.count(),
-            "instructions_mean": runs.mean(), "instructions_max": runs.most, "share": runs.share_of_time(flown.outcome.flown_s()),
+            "instructions_mean": runs.mean(), "instructions_max": runs.max, "share": runs.share_of_time(flown.outcome.flown_s()),
         })).collect::<Vec<_>>(),
         "stamp_jitter_us": timing.stamp_jitter_ns() as f64 * 1e-3,
-        "entry_us_min": timing.entry_ns.least as f64 * 1e-3,
-        "entry_us_max": timing.entry_ns.most as f64 * 1e-3,
+        "entry_us_min": timing.entry_ns.min as f64 * 1e-3,
+        "entry_us_max": timing.entry_ns.max as f64 * 1e-3,
     });
     if let (Value::Object(json), Value::Object(further)) = (&mut json, further) {
         json.extend(further);

@@ -1,31 +1,31 @@
-//! What an ESC makes of the levels on its motor pad.
+//! The ESCs at the motor pads: they decode commands from the edges.
 //!
-//! | protocol | a command is |
+//! | protocol | command |
 //! |---|---|
 //! | PWM | a pulse of 0.8 to 2.6 ms |
 //! | OneShot125 | a pulse of 100 to 320 µs, an eighth of PWM's |
 //! | DShot | 16 pulses of less than 5 µs: 11 bits of throttle, telemetry request, 4 bits of checksum |
 //!
-//! Which of them it is shows in the widths. A bit of DShot is a one if the line is high for more than half of the
-//! bit, whose length is taken from the frame itself (the timings: 37.5 % and 75 %). Nothing here knows a register of
-//! the timers: edges at the pads are all there is.
+//! The widths of the pulses identify the protocol. A bit of DShot is a one if the line is high for more than half of the bit
+//! (nominal: 37.5 % for a zero, 75 % for a one). The length of a bit is measured in the frame itself. The decoder uses only
+//! the edges at the pads, and no register of the timers.
 
 use rigless::device::Level;
 
-/// Pads, and rotors.
+/// Number of motor pads, and of rotors.
 pub const PADS: usize = 4;
 
-/// An ESC that hears nothing goes on at its last command for this long, then stops, ns. ESCs differ; a quarter of a
-/// second is at the long end of what their firmware does.
+/// Time for which an ESC continues with its last command when it receives no more, ns; then it stops. ESCs differ; a quarter
+/// of a second is among the longest times of ESC firmware.
 const SIGNAL_LOST_NS: u64 = 250_000_000;
 
-/// A pause after which a new DShot frame begins, ns: two bits of the slowest kind.
+/// Pause after which a new DShot frame begins, ns: two bits of the slowest variant.
 const FRAME_GAP_NS: u64 = 14_000;
 
-/// What a pad carries.
+/// State of a pad.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Line {
-    /// Nobody drives it, and no resistor pulls it.
+    /// Neither driven nor pulled by a resistor.
     #[default]
     Floating,
     /// Low.
@@ -40,12 +40,12 @@ impl From<Level> for Line {
     }
 }
 
-/// A protocol, as it shows at a pad.
+/// An ESC protocol.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Protocol {
     /// Servo pulses.
     Pwm,
-    /// Pulses of an eighth of that.
+    /// Pulses of an eighth of PWM's length.
     OneShot125,
     /// Bits of 6⅔ µs.
     DShot150,
@@ -56,7 +56,7 @@ pub enum Protocol {
 }
 
 impl Protocol {
-    /// For people.
+    /// Returns the name to display.
     pub fn name(self) -> &'static str {
         match self {
             Self::Pwm => "PWM",
@@ -68,14 +68,14 @@ impl Protocol {
     }
 }
 
-/// A command as it arrived.
+/// A command as the ESC received it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Command {
-    /// When it was complete, ns.
+    /// Time of its end, ns.
     pub at_ns: u64,
-    /// Share of full speed, 0 to 1; zero is the stop.
+    /// Throttle as a share of full speed, 0 to 1; 0 is the stop.
     pub throttle: f64,
-    /// In which protocol.
+    /// Protocol.
     pub protocol: Protocol,
 }
 
@@ -84,25 +84,25 @@ pub struct Command {
 pub struct Esc {
     line: Line,
     rose_ns: u64,
-    /// Rise and width of the pulses of a DShot frame so far, ns.
+    /// Rise time and width of the pulses of the present DShot frame, ns.
     bits: Vec<(u64, u64)>,
     last: Option<Command>,
-    /// When the last command that was no stop was complete, ns.
+    /// Time of the last command other than a stop, ns.
     pub last_driven_ns: Option<u64>,
     /// All commands.
     pub commands: Vec<Command>,
-    /// Pulses and frames that were none.
-    pub garbled: u64,
+    /// Number of invalid pulses and frames.
+    pub invalid: u64,
 }
 
 impl Esc {
-    /// The line changes at `at_ns`. Returns the command that this completes.
-    pub fn edge(&mut self, at_ns: u64, line: Line) -> Option<Command> {
+    /// Processes a change of the line at `at_ns`, and returns the command that it completes.
+    pub fn on_edge(&mut self, at_ns: u64, line: Line) -> Option<Command> {
         let was = std::mem::replace(&mut self.line, line);
         if line == Line::High {
             if self.bits.last().is_some_and(|(rise, _)| at_ns - rise > FRAME_GAP_NS) {
                 self.bits.clear();
-                self.garbled += 1;
+                self.invalid += 1;
             }
             self.rose_ns = at_ns;
             return None;
@@ -121,7 +121,7 @@ impl Esc {
                 if self.bits.len() < 16 {
                     return None;
                 }
-                self.frame(at_ns)
+                self.decode_frame(at_ns)
             }
             100_000..320_000 => servo(width as f64 * 8e-3, Protocol::OneShot125),
             800_000..2_600_000 => servo(width as f64 * 1e-3, Protocol::Pwm),
@@ -135,12 +135,13 @@ impl Esc {
                 }
                 self.last = Some(command);
             }
-            None => self.garbled += 1,
+            None => self.invalid += 1,
         }
         command
     }
 
-    fn frame(&mut self, at_ns: u64) -> Option<Command> {
+    /// Decodes the 16 bits of a DShot frame.
+    fn decode_frame(&mut self, at_ns: u64) -> Option<Command> {
         let bits = std::mem::take(&mut self.bits);
         let bit_ns = (bits[15].0 - bits[0].0) / 15;
         let protocol = match bit_ns {
@@ -154,24 +155,24 @@ impl Esc {
         if (value ^ value >> 4 ^ value >> 8) & 0xf != word & 0xf {
             return None;
         }
-        // 0 is the stop, 1 to 47 are commands to an ESC that stands, 48 to 2,047 are throttle.
+        // 0 is the stop, 1 to 47 are special commands for a stopped motor, 48 to 2,047 are throttle.
         let throttle = f64::from((value >> 1).saturating_sub(47)) / 2_000.0;
         Some(Command { at_ns, throttle, protocol })
     }
 
-    /// What the ESC drives its rotor with at `now_ns`, as a share of full speed.
+    /// Returns the throttle with which the ESC drives its motor at `now_ns`, as a share of full speed.
     pub fn throttle(&self, now_ns: u64) -> f64 {
         self.last
             .filter(|command| now_ns.saturating_sub(command.at_ns) <= SIGNAL_LOST_NS)
             .map_or(0.0, |command| command.throttle)
     }
 
-    /// The last command.
+    /// Returns the last command.
     pub fn last(&self) -> Option<Command> {
         self.last
     }
 
-    /// What the pad carries.
+    /// Returns the state of the pad.
     pub fn line(&self) -> Line {
         self.line
     }
@@ -182,27 +183,27 @@ mod tests {
     use super::*;
 
     fn pulse(esc: &mut Esc, rise: u64, width: u64) -> Option<Command> {
-        esc.edge(rise, Line::High);
-        esc.edge(rise + width, Line::Low)
+        esc.on_edge(rise, Line::High);
+        esc.on_edge(rise + width, Line::Low)
     }
 
     #[test]
-    fn servo_pulses_are_read_by_their_width() {
+    fn pulse_width_gives_protocol_and_throttle() {
         let mut esc = Esc::default();
         let command = pulse(&mut esc, 1_000_000, 1_500_000).unwrap();
         assert_eq!((command.throttle, command.protocol), (0.5, Protocol::Pwm));
         let command = pulse(&mut esc, 4_000_000, 218_750).unwrap();
         assert_eq!((command.throttle, command.protocol), (0.75, Protocol::OneShot125));
         assert_eq!(pulse(&mut esc, 6_000_000, 50_000), None);
-        assert_eq!(esc.garbled, 1);
+        assert_eq!(esc.invalid, 1);
         assert_eq!(esc.throttle(6_100_000), 0.75);
         assert_eq!(esc.throttle(4_218_750 + SIGNAL_LOST_NS + 1), 0.0);
     }
 
-    /// The worked example of DShot's description (Betaflight, "DSHOT ESC Protocol"): throttle 1046, no telemetry,
+    /// The example in the description of DShot (Betaflight, "DSHOT ESC Protocol"): throttle 1046 without telemetry request
     /// is 10000010110 0 with checksum 0110.
     #[test]
-    fn a_dshot_frame_is_read_bit_by_bit() {
+    fn dshot_frame_is_decoded_and_checked() {
         let word = 0b1000_0010_1100_0110_u16;
         let mut esc = Esc::default();
         let mut last = None;
@@ -213,11 +214,11 @@ mod tests {
         let command = last.unwrap();
         assert_eq!(command.protocol, Protocol::DShot300);
         assert!((command.throttle - 999.0 / 2_000.0).abs() < 1e-12);
-        // One wrong bit is no command.
+        // A frame with one wrong bit is invalid.
         for bit in 0..16 {
             let one = (word ^ 0x20) >> (15 - bit) & 1 == 1;
             last = pulse(&mut esc, 1_000_000 + 3_333 * bit, if one { 2_500 } else { 1_250 });
         }
-        assert_eq!((last, esc.garbled), (None, 1));
+        assert_eq!((last, esc.invalid), (None, 1));
     }
 }

@@ -1,13 +1,13 @@
-//! The receiver receiver at its serial port: frames as bytes, each at its time.
+//! The RC receiver at its serial port: it sends the bytes of its frames, each at its time.
 //!
 //! | | CRSF | SBUS |
 //! |---|---|---|
 //! | line | 420,000 baud, 8N1 | 100,000 baud, 8E2 |
 //! | channels | 26 bytes: address 0xC8, length, type 0x16, 16 × 11 bits, CRC-8 (0xD5) | 25 bytes: 0x0F, 16 × 11 bits, flags, 0x00 |
-//! | link lost | no frames | the failsafe flag |
+//! | lost link | no frames | the failsafe flag |
 //!
-//! Sources: TBS, "CRSF specification" (`tbs-crsf-spec`), and Bolder Flight's description of SBUS. The firmware's
-//! decoders are other people's crates, and these encoders share nothing with them.
+//! Sources: TBS, "CRSF specification" (`tbs-crsf-spec`), and Bolder Flight's description of SBUS. The firmware decodes with
+//! third-party crates; these encoders share no code with them.
 
 use std::collections::VecDeque;
 
@@ -19,28 +19,28 @@ use rigless::chip::uart::Peer;
 use rigless::snapshot::store;
 use rigless::time::VirtualNanos;
 
-/// What the receiver speaks.
+/// Protocol of the receiver.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, serde::Serialize, serde::Deserialize)]
 pub enum Protocol {
-    /// TBS Crossfire and ExpressLRS.
+    /// CRSF: TBS Crossfire and ExpressLRS.
     Crsf,
-    /// Futaba and FrSky, behind the board's inverter.
+    /// SBUS: Futaba and FrSky, through the board's inverter.
     Sbus,
 }
 
 /// Settings of a serial port.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Line {
-    /// Bits a second.
+    /// Baud rate, bits a second.
     pub baud: u32,
-    /// Even parity.
+    /// Even parity if true, no parity if false.
     pub parity: bool,
-    /// One or two.
+    /// Number of stop bits, 1 or 2.
     pub stop_bits: u8,
 }
 
 impl Protocol {
-    /// Its line.
+    /// Returns the settings of the line.
     pub const fn line(self) -> Line {
         match self {
             Self::Crsf => Line { baud: 420_000, parity: false, stop_bits: 1 },
@@ -48,16 +48,16 @@ impl Protocol {
         }
     }
 
-    /// Time from the start of one byte to the next, ns.
+    /// Returns the time of a byte with its start, parity and stop bits, ns.
     const fn byte_ns(self) -> u64 {
         let line = self.line();
         let bits = 9 + line.parity as u64 + line.stop_bits as u64;
         bits * 1_000_000_000 / line.baud as u64
     }
 
-    /// The bytes of a frame; `None` where the receiver is silent.
+    /// Returns the bytes of a frame; `None` if the receiver sends nothing.
     fn frame(self, rc: &RcFrame, map: &ChannelMap) -> Option<Vec<u8>> {
-        // What the pilot does not move is centred.
+        // Unused channels are centred.
         let mut channels = [992_u16; 16];
         for (ticks, channel) in rc.channels.into_iter().zip(map.sticks) {
             channels[usize::from(channel)] = ticks;
@@ -67,7 +67,7 @@ impl Protocol {
         let packed = pack(&channels);
         match self {
             Self::Crsf => {
-                // ExpressLRS and Crossfire send nothing while the link is down.
+                // ExpressLRS and Crossfire send nothing while the link is lost.
                 if rc.status != LinkStatus::Good {
                     return None;
                 }
@@ -93,7 +93,7 @@ impl Protocol {
     }
 }
 
-/// Sixteen channels of 11 bits, the first in the lowest bits.
+/// Packs sixteen channels of 11 bits, the first in the lowest bits.
 fn pack(channels: &[u16; 16]) -> [u8; 22] {
     let mut bytes = [0; 22];
     for (n, ticks) in channels.iter().enumerate() {
@@ -105,6 +105,7 @@ fn pack(channels: &[u16; 16]) -> [u8; 22] {
     bytes
 }
 
+/// Returns the CRC-8/DVB-S2.
 fn crc8(bytes: &[u8]) -> u8 {
     bytes.iter().fold(0, |crc, byte| {
         (0..8).fold(crc ^ byte, |crc, _| if crc & 0x80 != 0 { crc << 1 ^ 0xd5 } else { crc << 1 })
@@ -114,28 +115,28 @@ fn crc8(bytes: &[u8]) -> u8 {
 /// The receiver.
 #[derive(Debug, serde::Serialize, serde::Deserialize)]
 pub struct RcReceiver {
-    /// What it speaks.
+    /// Protocol.
     pub protocol: Protocol,
-    /// Bytes on their way, and when each begins, ns.
+    /// Bytes to send, each with its start time, ns.
     bytes: VecDeque<(u64, u8)>,
 }
 
 store!(RcReceiver);
 
 impl RcReceiver {
-    /// A receiver that has said nothing yet.
+    /// Returns a receiver without bytes to send.
     pub fn new(protocol: Protocol) -> Self {
         Self { protocol, bytes: VecDeque::new() }
     }
 
-    /// Sends a frame from `at_ns` on, after what is still on its way.
+    /// Sends a frame from `at_ns` on, after all earlier bytes.
     pub fn send(&mut self, rc: &RcFrame, map: &ChannelMap, at_ns: u64) {
         if let Some(frame) = self.protocol.frame(rc, map) {
             self.send_bytes(frame, at_ns);
         }
     }
 
-    /// Sends bytes from `at_ns` on, after what is still on its way.
+    /// Sends bytes from `at_ns` on, after all earlier bytes.
     pub fn send_bytes(&mut self, bytes: impl IntoIterator<Item = u8>, at_ns: u64) {
         let period = self.protocol.byte_ns();
         let free = self.bytes.back().map_or(0, |(at, _)| at + period);
@@ -143,18 +144,18 @@ impl RcReceiver {
         self.bytes.extend(bytes.into_iter().zip(0..).map(|(byte, n)| (start + n * period, byte)));
     }
 
-    /// When the first byte after `now_ns` begins, ns.
+    /// Returns the start time of the first byte after `now_ns`, ns.
     pub fn next_byte_ns(&self, now_ns: u64) -> Option<u64> {
         self.bytes.iter().map(|(at, _)| *at).find(|at| *at > now_ns)
     }
 
-    /// Whether all bytes are sent.
+    /// Returns whether all bytes are sent.
     pub fn is_idle(&self) -> bool {
         self.bytes.is_empty()
     }
 
-    /// Forgets what began before `now_ns`, and nobody has listened to.
-    pub fn forget_before(&mut self, now_ns: u64) {
+    /// Drops bytes that began before `now_ns` and were not received.
+    pub fn drop_before(&mut self, now_ns: u64) {
         self.bytes.retain(|(at, _)| *at >= now_ns);
     }
 }
@@ -168,7 +169,7 @@ impl Peer for RcReceiver {
             return None;
         }
         self.bytes.pop_front();
-        // One whose time has passed while nobody listened is gone.
+        // A byte whose time has passed while the port did not receive is lost.
         (now.0 - at < self.protocol.byte_ns()).then_some(u16::from(byte)).or_else(|| self.transmit(now))
     }
 }
@@ -177,15 +178,15 @@ impl Peer for RcReceiver {
 mod tests {
     use super::*;
 
-    /// TBS's example of the checksum's polynomial: CRC-8/DVB-S2 of "123456789" is 0xBC.
+    /// The check value of CRC-8/DVB-S2: "123456789" gives 0xBC.
     #[test]
     fn crc_is_dvb_s2() {
         assert_eq!(crc8(b"123456789"), 0xbc);
     }
 
-    /// What other people's decoders, those of the firmware, read from these frames.
+    /// The firmware's third-party decoders decode the encoded frames.
     #[test]
-    fn frames_are_read_back_by_the_firmwares_decoders() {
+    fn firmware_decoders_read_the_encoded_frames() {
         let rc = RcFrame {
             channels: [172, 1_811, 992, 1_000],
             arm_switch: 1_792,
@@ -197,7 +198,7 @@ mod tests {
             [(Protocol::Crsf, receiver::Protocol::Crsf), (Protocol::Sbus, receiver::Protocol::Sbus)]
         {
             let mut receiver = receiver::Receiver::new(theirs);
-            // A byte long ago, so that the frame begins behind a pause: SBUS is not read without one.
+            // An earlier byte makes a pause before the frame, which SBUS requires.
             assert_eq!(receiver.push(0, 0), None);
             let bytes = protocol.frame(&rc, &map).expect("a live link sends");
             let frames: Vec<_> = bytes.into_iter().filter_map(|byte| receiver.push(byte, 10_000)).collect();

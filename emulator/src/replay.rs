@@ -1,8 +1,8 @@
-//! What the flight controller was given on the emulated chip, given again to the same code in this process.
+//! Replay of the records from the emulated chip through the same flight controller in this process.
 //!
-//! Every step's record has the times, counts, frames and voltages that went into the step, and the pulses, state and
-//! attitude that came out. The same inputs must give the same outputs here, bit for bit: the processor, its
-//! floating-point unit and the firmware's own wiring of the flight controller add nothing and lose nothing.
+//! The record of a step has its inputs (time, counts, frames and voltages) and its outputs (pulses, state and attitude). The
+//! same inputs must give the same outputs here, bit for bit. This shows that the emulated processor, its floating-point unit
+//! and the firmware's use of the flight controller change nothing.
 
 use flight_core::calibration::Sensitivity;
 use flight_core::record::{Outcome, StepRecord};
@@ -11,7 +11,7 @@ use input::axes::Axes;
 
 use crate::board::Wiring;
 
-/// The configuration that the firmware flies with: the stored one, with the sensors mounted as on the board.
+/// Returns the firmware's configuration in flight: the stored one, with the mountings of the sensors on the board.
 pub fn on_board(config: &Config, wiring: &Wiring) -> Config {
     let mut config = *config;
     let mounted =
@@ -22,22 +22,21 @@ pub fn on_board(config: &Config, wiring: &Wiring) -> Config {
     config
 }
 
-/// The first step whose outcome differs: its place among the records, and what came here.
+/// The first step with another outcome.
 #[derive(Debug)]
 pub struct Difference {
-    /// Place among the records.
+    /// Index of the record.
     pub step: usize,
-    /// On the chip.
-    pub there: Box<StepRecord>,
-    /// In this process.
+    /// Record of the chip.
+    pub on_chip: Box<StepRecord>,
+    /// Outcome in this process.
     pub here: Box<Outcome>,
 }
 
-/// Steps the records of one start of the firmware through a flight controller of this configuration. Returns how many
-/// there were.
+/// Replays the records of one start of the firmware with this configuration. Returns the number of steps.
 ///
 /// # Errors
-/// A step has another outcome here.
+/// A step has another outcome in this process.
 ///
 /// # Panics
 /// The configuration is out of range.
@@ -52,9 +51,9 @@ pub fn replay(records: &[StepRecord], config: &Config) -> Result<usize, Differen
             event: output.event,
             attitude: controller.attitude(),
         };
-        // As words, in which floats are bits.
+        // The comparison as words compares the bits of floats.
         if (StepRecord { outcome: here, ..*record }).to_words() != record.to_words() {
-            return Err(Difference { step, there: Box::new(*record), here: Box::new(here) });
+            return Err(Difference { step, on_chip: Box::new(*record), here: Box::new(here) });
         }
     }
     Ok(records.len())

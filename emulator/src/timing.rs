@@ -1,41 +1,41 @@
-//! Times and instruction counts of the fast loop, as seen from outside.
+//! Times and instruction counts of the firmware, measured from outside.
 
 use std::collections::BTreeSet;
 
-/// Instructions a second of virtual time: two cycles of 168 MHz for each, as `docs/timing.md` assumes. A setting, not
-/// a measurement: no wait states of the flash, no caches, no contention on the bus.
+/// Instructions in a second of virtual time: each takes two cycles of 168 MHz, as `docs/timing.md` assumes. This is a
+/// setting and not a measurement: there are no wait states of the flash, no caches and no contention on the bus.
 pub const INSTRUCTIONS_PER_SECOND: u64 = 84_000_000;
 
-/// Smallest, mean and largest of something.
+/// Minimum, mean, maximum and number of a series of values.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Spread {
-    /// Smallest.
-    pub least: u64,
-    /// Largest.
-    pub most: u64,
+pub struct Statistics {
+    /// Minimum.
+    pub min: u64,
+    /// Maximum.
+    pub max: u64,
     sum: u64,
     count: u64,
 }
 
-impl Spread {
+impl Statistics {
     fn add(&mut self, value: u64) {
-        self.least = if self.count == 0 { value } else { self.least.min(value) };
-        self.most = self.most.max(value);
+        self.min = if self.count == 0 { value } else { self.min.min(value) };
+        self.max = self.max.max(value);
         self.sum += value;
         self.count += 1;
     }
 
-    /// Mean; zero of nothing.
+    /// Returns the mean, or 0 without values.
     pub fn mean(&self) -> f64 {
         if self.count == 0 { 0.0 } else { self.sum as f64 / self.count as f64 }
     }
 
-    /// Share of `seconds` that it takes, if it is of instructions.
+    /// Returns the share of `seconds` that the sum takes, if the values are instructions.
     pub fn share_of_time(&self, seconds: f64) -> f64 {
         self.sum as f64 / (seconds * INSTRUCTIONS_PER_SECOND as f64)
     }
 
-    /// How many.
+    /// Returns the number of values.
     pub fn count(&self) -> u64 {
         self.count
     }
@@ -44,20 +44,20 @@ impl Spread {
 /// An interrupt handler of the firmware.
 #[derive(Clone, Copy, Debug)]
 pub struct Handler {
-    /// The vector's name.
+    /// Name of the vector.
     pub vector: &'static str,
-    /// What the firmware does in it: the task, or the tasks of this priority (`firmware/src/main.rs`).
+    /// Task of the handler, or the tasks of its priority (`firmware/src/main.rs`).
     pub task: &'static str,
     /// Number of the exception; interrupts begin at 16.
     pub exception: u16,
-    /// RTIC's: the higher, the more urgent.
+    /// Priority in RTIC: a higher number is more urgent.
     pub priority: u8,
 }
 
-/// How many handlers run in flight.
+/// Number of handlers that run in flight.
 pub const HANDLERS: usize = 8;
 
-/// The handlers that run in flight, on a board with these vectors of the data-ready line and of the receiver's port.
+/// Returns the handlers that run in flight, on a board with these vectors of the data-ready line and of the receiver's port.
 pub fn handlers(ready: &str, serial: &str) -> [Handler; HANDLERS] {
     let board = |name: &str, task| {
         let found = VECTORS.iter().find(|(vector, _)| *vector == name).expect("a vector of the chip");
@@ -75,7 +75,7 @@ pub fn handlers(ready: &str, serial: &str) -> [Handler; HANDLERS] {
     ]
 }
 
-/// Interrupts by name and number (RM0090, table 61).
+/// Names and numbers of interrupts (RM0090, table 61).
 const VECTORS: [(&str, u16); 14] = [
     ("EXTI0", 6),
     ("EXTI1", 7),
@@ -93,34 +93,34 @@ const VECTORS: [(&str, u16); 14] = [
     ("USART6", 71),
 ];
 
-/// Their priorities, in the same order.
+/// Priorities of [`handlers`], in the same order.
 const PRIORITIES: [u8; HANDLERS] = [6, 6, 6, 5, 4, 3, 2, 1];
 
-/// Place of the data-ready interrupt in [`handlers`].
+/// Index of the data-ready interrupt in [`handlers`].
 const DATA_READY: usize = 0;
 
-/// What a flight shows of the firmware's timing.
+/// The firmware's timing in a flight.
 #[derive(Clone, Debug, Default)]
 pub struct Timing {
     /// Instructions up to the present stop.
     pub instructions_now: u64,
-    /// From INT1 to the handler's first instruction, ns.
-    pub entry_ns: Spread,
-    /// From INT1 to the last access to a motor timer or its DMA, ns.
-    pub latency_ns: Spread,
-    /// Instructions in that time, of all priorities.
-    pub latency_instructions: Spread,
+    /// Time from INT1 to the handler's first instruction, ns.
+    pub entry_ns: Statistics,
+    /// Time from INT1 to the last write to a motor timer, ns.
+    pub latency_ns: Statistics,
+    /// Instructions of all priorities in that time.
+    pub latency_instructions: Statistics,
     /// Instructions of a run of each of [`handlers`], without those of the handlers that interrupted it.
-    pub runs: [Spread; HANDLERS],
-    /// The firmware's time stamp less the instant of INT1, ns, least and most: two clocks, so that only the difference
-    /// of the two says something.
+    pub runs: [Statistics; HANDLERS],
+    /// Minimum and maximum of the firmware's time stamp minus the time of INT1, ns. The two clocks have different origins, so
+    /// only the difference of minimum and maximum is meaningful.
     stamp_ns: Option<(i64, i64)>,
     last_stamp_us: u64,
-    /// Handlers that have begun and not ended, and the instructions that each has executed.
+    /// Active handlers, each with the number of instructions that it has executed.
     running: Vec<(usize, u64)>,
-    /// Up to here the instructions are assigned.
+    /// Number of instructions that are already assigned to handlers.
     assigned: u64,
-    /// Which handler has interrupted which, places in [`handlers`]: the one below, the one on top.
+    /// Observed interruptions, as indices into [`handlers`]: the interrupted handler, the interrupting handler.
     pub interrupted: BTreeSet<(usize, usize)>,
     ready: Option<(u64, u64)>,
     entered: bool,
@@ -128,8 +128,8 @@ pub struct Timing {
 }
 
 impl Timing {
-    /// INT1 rises.
-    pub fn ready(&mut self, now_ns: u64) {
+    /// Records a rise of INT1, and completes the latency of the last sample.
+    pub fn on_data_ready(&mut self, now_ns: u64) {
         if let (Some((ready_ns, ready_at)), Some((motor_ns, motor_at))) = (self.ready, self.last_motor) {
             self.latency_ns.add(motor_ns - ready_ns);
             self.latency_instructions.add(motor_at - ready_at);
@@ -139,13 +139,13 @@ impl Timing {
         self.last_motor = None;
     }
 
-    /// A handler is entered: its place in [`handlers`].
-    pub fn entered(&mut self, handler: usize, now_ns: u64, instructions: u64) {
+    /// Records the entry of a handler, given by its index in [`handlers`].
+    pub fn on_entry(&mut self, handler: usize, now_ns: u64, instructions: u64) {
         self.assign(instructions);
         if let Some((below, _)) = self.running.last() {
             self.interrupted.insert((*below, handler));
         }
-        // What this one does not interrupt has ended, by a way out that is not watched.
+        // A running handler of the same or a higher priority has ended by a return that is not watched.
         while self.running.last().is_some_and(|(below, _)| PRIORITIES[*below] >= PRIORITIES[handler]) {
             self.end();
         }
@@ -159,23 +159,24 @@ impl Timing {
         }
     }
 
-    /// A handler is about to return.
-    pub fn returns(&mut self, handler: usize, instructions: u64) {
-        // The return itself is executed after this.
+    /// Records the return of a handler.
+    pub fn on_return(&mut self, handler: usize, instructions: u64) {
+        // The return instruction itself is executed after this call.
         self.assign(instructions + 1);
         if self.running.last().is_some_and(|(running, _)| *running == handler) {
             self.end();
         }
     }
 
-    /// The core is about to sleep.
-    pub fn sleeps(&mut self, instructions: u64) {
+    /// Records that the core goes to sleep: all handlers have ended.
+    pub fn on_sleep(&mut self, instructions: u64) {
         self.assign(instructions);
         while !self.running.is_empty() {
             self.end();
         }
     }
 
+    /// Assigns the instructions since the last call to the running handler.
     fn assign(&mut self, instructions: u64) {
         if let Some((_, own)) = self.running.last_mut() {
             *own += instructions.saturating_sub(self.assigned);
@@ -189,25 +190,25 @@ impl Timing {
         }
     }
 
-    /// The firmware has recorded a step, of the sample that it stamped so.
-    pub fn stamped(&mut self, time_us: u64) {
+    /// Records the firmware's time stamp of a sample.
+    pub fn on_time_stamp(&mut self, time_us: u64) {
         if let (true, Some((ready_ns, _))) = (self.entered, self.ready) {
             let since_ns = 1_000 * time_us as i64 - ready_ns as i64;
-            // After a reset the firmware's clock begins anew.
+            // After a reset the firmware's clock restarts at zero.
             let since_start = self.stamp_ns.filter(|_| time_us >= self.last_stamp_us);
             self.last_stamp_us = time_us;
-            let (least, most) = since_start.unwrap_or((since_ns, since_ns));
-            self.stamp_ns = Some((least.min(since_ns), most.max(since_ns)));
+            let (min, max) = since_start.unwrap_or((since_ns, since_ns));
+            self.stamp_ns = Some((min.min(since_ns), max.max(since_ns)));
         }
     }
 
-    /// Jitter of the time stamp: its latest less its earliest, ns, in a microsecond's steps.
+    /// Returns the jitter of the time stamp, ns: maximum minus minimum against INT1. Time stamps have steps of 1 µs.
     pub fn stamp_jitter_ns(&self) -> i64 {
-        self.stamp_ns.map_or(0, |(least, most)| most - least)
+        self.stamp_ns.map_or(0, |(min, max)| max - min)
     }
 
-    /// The firmware has accessed a timer of the motors.
-    pub fn motor_access(&mut self, now_ns: u64, instructions: u64) {
+    /// Records a write to a motor timer.
+    pub fn on_motor_write(&mut self, now_ns: u64, instructions: u64) {
         if self.ready.is_some() {
             self.last_motor = Some((now_ns, instructions));
         }

@@ -1,8 +1,8 @@
-//! Every interrupt handler serves its source: no vector is entered again while its source has been asserted ever since
-//! it was entered before.
+//! A check that each interrupt handler serves its source: a vector must not be entered again while its source has stayed
+//! asserted since the last entry.
 //!
-//! A peripheral's interrupt is a level. A handler that returns without taking it down is entered again at once, and
-//! everything below its priority starves.
+//! A peripheral's interrupt is a level. If a handler returns without clearing it, the handler is entered again at once, and
+//! code of lower priority never runs.
 
 use rigless::mcu::Mcu as _;
 use rigless::soc::stm32f427::generated::{dma2, exti, tim2, usart6};
@@ -13,18 +13,18 @@ use crate::timing::Handler;
 
 /// A source of interrupts.
 enum Source {
-    /// A line of the external interrupts.
+    /// A line of EXTI.
     Line(u8),
-    /// The receiver's port.
+    /// The receiver's serial port.
     Serial(String),
-    /// The deadline.
+    /// The deadline timer.
     Deadline,
-    /// The end of the inertial sensor's burst.
+    /// The DMA stream of the inertial sensor's burst.
     Burst,
 }
 
 impl Source {
-    /// The instance by whose registers it is served.
+    /// Returns the peripheral whose registers serve the source.
     fn instance(&self) -> &str {
         match self {
             Self::Line(_) => "EXTI",
@@ -34,7 +34,7 @@ impl Source {
         }
     }
 
-    /// Whether its line is up (RM0090: the interrupt enables and flags of each).
+    /// Returns whether the source is asserted: an interrupt is enabled and its flag is set (RM0090).
     fn asserted(&self, machine: &Machine) -> bool {
         let Some(registers) = machine.bus().registers(self.instance()) else { return false };
         match self {
@@ -61,22 +61,22 @@ impl Source {
     }
 }
 
-/// A vector whose source can be looked at.
+/// A vector whose source is observed.
 struct Vector {
     name: &'static str,
     entry: u64,
     source: Source,
-    /// It was asserted when the handler was entered last, and has been since.
+    /// Whether the source has been asserted since the last entry of the handler.
     unserved: bool,
     entered_again: u64,
     first_ns: u64,
 }
 
-/// All vectors that are watched.
+/// All observed vectors.
 pub struct Vectors(Vec<Vector>);
 
 impl Vectors {
-    /// The vectors of an image for a board.
+    /// Returns the observed vectors of an image for a board.
     pub fn new(firmware: &Firmware, wiring: &Wiring) -> Self {
         let [ready, receive, overdue, flight, ..] = wiring.handlers;
         let vector = |handler: Handler, source| {
@@ -94,8 +94,8 @@ impl Vectors {
         Self(all.into_iter().flatten().collect())
     }
 
-    /// A handler is entered.
-    pub fn entered(&mut self, machine: &Machine, address: u64, now_ns: u64) {
+    /// Checks the vector whose handler is entered at `address`.
+    pub fn on_entry(&mut self, machine: &Machine, address: u64, now_ns: u64) {
         let Some(vector) = self.0.iter_mut().find(|vector| vector.entry == address) else { return };
         if vector.unserved {
             if vector.entered_again == 0 {
@@ -106,8 +106,8 @@ impl Vectors {
         vector.unserved = vector.source.asserted(machine);
     }
 
-    /// The firmware has accessed a register.
-    pub fn accessed(&mut self, machine: &Machine, address: u64) {
+    /// Updates the state of the sources after an access to a register.
+    pub fn on_access(&mut self, machine: &Machine, address: u64) {
         for vector in &mut self.0 {
             if vector.unserved
                 && machine.part.addresses(vector.source.instance()).contains(&address)
@@ -118,18 +118,18 @@ impl Vectors {
         }
     }
 
-    /// Whether anything was wrong so far.
+    /// Returns whether a vector was entered again with an unserved source.
     pub fn is_unserved(&self) -> bool {
         self.0.iter().any(|vector| vector.entered_again > 0)
     }
 
-    /// What was wrong.
+    /// Returns the violations, one line each.
     pub fn into_violations(self) -> Vec<String> {
         let again = self.0.into_iter().filter(|vector| vector.entered_again > 0);
         again
             .map(|vector| {
                 format!(
-                    "{} was entered again {} times while its source was unserved, first at {:.6} s",
+                    "{}: entered again {} times with an unserved source, first at {:.6} s",
                     vector.name,
                     vector.entered_again,
                     vector.first_ns as f64 * 1e-9

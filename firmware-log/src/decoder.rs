@@ -1,13 +1,13 @@
-//! Frames of defmt to lines of text.
+//! Decoder from defmt frames to lines of text.
 
 use std::fmt;
 
 use defmt_decoder::{DecodeError, Encoding, Table};
 
-/// More bytes without the end of a frame are none: the ring is far smaller.
+/// Maximum length of a frame, bytes: the ring is much smaller. More bytes without the end of a frame are damaged.
 const MAX_FRAME: usize = 1 << 16;
 
-/// How urgent a line is. The firmware's build chooses from which level on it logs (`DEFMT_LOG`).
+/// Severity of a line. The firmware's build selects the minimum level that it logs (`DEFMT_LOG`).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 #[expect(missing_docs, reason = "the names say it")]
 pub enum Level {
@@ -19,7 +19,7 @@ pub enum Level {
 }
 
 impl Level {
-    /// Its name, as the log macros have it.
+    /// Returns the name, as in defmt's macros.
     pub fn name(self) -> &'static str {
         match self {
             Self::Trace => "trace",
@@ -30,7 +30,7 @@ impl Level {
         }
     }
 
-    /// The decoder's type is of a crate that it does not re-export.
+    /// Converts by name, because `defmt_decoder` does not export the type of its levels.
     fn of(frame: &defmt_decoder::Frame<'_>) -> Option<Self> {
         match frame.level()?.as_str() {
             "trace" => Some(Self::Trace),
@@ -46,13 +46,12 @@ impl Level {
 /// A line of the log. Its display is `time level message`, the time in seconds.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Line {
-    /// The firmware's time, µs: since its start, or of the flight if that is where its time comes from. Its 32 bits
-    /// are extended: see [`Decoder::push`]. `None` for a damaged frame, and if the firmware logs no time in
-    /// microseconds.
+    /// Time of the firmware, µs: since its start, or the time of the flight if that is its clock. Its 32 bits are extended:
+    /// see [`Decoder::push`]. `None` for a damaged frame, and if the firmware logs no time in microseconds.
     pub time_us: Option<u64>,
-    /// `None` for a damaged frame, and for what is printed without a level.
+    /// Level; `None` for a damaged frame, and for text that is printed without a level.
     pub level: Option<Level>,
-    /// The text.
+    /// Text.
     pub message: String,
 }
 
@@ -66,33 +65,35 @@ impl fmt::Display for Line {
     }
 }
 
-/// Why there is no decoder for an image.
+/// The reason why the log of an image cannot be decoded.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Error {
-    /// It is not an ELF image, or its table of messages cannot be read: the reason.
+    /// The image is not an ELF file, or its table of messages cannot be read, with the reason.
     Unreadable(String),
-    /// It logs nothing by defmt, or its symbols were stripped.
+    /// The image does not log by defmt, or its symbols were stripped.
     NoLog,
-    /// Its frames are not marked where they end (defmt's feature `encoding-raw`).
+    /// The image uses defmt's raw encoding (feature `encoding-raw`), whose frames have no end mark.
     Encoding,
 }
 
 impl fmt::Display for Error {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Unreadable(why) => write!(f, "the table of log messages cannot be read: {why}"),
+            Self::Unreadable(reason) => write!(f, "the table of log messages cannot be read: {reason}"),
             Self::NoLog => write!(f, "the image has no table of log messages"),
-            Self::Encoding => write!(f, "the image logs by defmt's raw encoding; only rzcobs is decoded"),
+            Self::Encoding => {
+                write!(f, "the image must log by defmt's rzcobs encoding, not by the raw encoding")
+            }
         }
     }
 }
 
 impl std::error::Error for Error {}
 
-/// Decodes the log of one image.
+/// Decoder for the log of an image.
 pub struct Decoder {
     table: Table,
-    /// The beginning of a frame that has not ended yet.
+    /// Bytes of an incomplete frame.
     unread: Vec<u8>,
     clock: Clock,
     damaged: u64,
@@ -108,12 +109,12 @@ impl fmt::Debug for Decoder {
 }
 
 impl Decoder {
-    /// A decoder for what this image logs.
+    /// Returns a decoder for the log of this image.
     ///
     /// # Errors
-    /// It is not an image with a log: [`Error`].
+    /// The image has no log that can be decoded: see [`Error`].
     pub fn new(elf: &[u8]) -> Result<Self, Error> {
-        let table = Table::parse(elf).map_err(|why| Error::Unreadable(format!("{why:#}")))?;
+        let table = Table::parse(elf).map_err(|error| Error::Unreadable(format!("{error:#}")))?;
         let table = table.filter(|table| !table.is_empty()).ok_or(Error::NoLog)?;
         match table.encoding() {
             Encoding::Rzcobs => {}
@@ -122,13 +123,13 @@ impl Decoder {
         Ok(Self { table, unread: Vec::new(), clock: Clock::default(), damaged: 0 })
     }
 
-    /// Takes the next bytes, and returns the lines that they complete. A frame that cannot be decoded is a line that
-    /// says so.
+    /// Decodes the next bytes, and returns the lines that they complete. A frame that cannot be decoded gives a line with
+    /// this message.
     ///
-    /// The firmware's time has 32 bits, 71.6 minutes. A time that lies more than half of that before the last one is
-    /// taken for the next round. One that lies less far before it is left as it is: the firmware was reset, or a line
-    /// was overtaken by that of an interrupt. If the first time is in the last second of the 71.6 minutes, it is before
-    /// zero, and given as zero: where time comes from a flight, the firmware starts shortly before that.
+    /// The firmware's time has 32 bits, so it wraps after 71.6 minutes. A time that is more than half of this before the last
+    /// time is a wrap. A time that is less before the last time is not changed: the firmware was reset, or the line of an
+    /// interrupt came first. If the first time is in the last second before the wrap, it is a time before zero and is
+    /// returned as zero: with the time of a flight as its clock, the firmware starts shortly before zero.
     pub fn push(&mut self, bytes: &[u8]) -> Vec<Line> {
         self.unread.extend_from_slice(bytes);
         let end = match self.unread.iter().rposition(|&byte| byte == 0) {
@@ -144,12 +145,12 @@ impl Decoder {
             .collect()
     }
 
-    /// Frames that could not be decoded so far.
+    /// Returns the number of frames that could not be decoded.
     pub fn damaged(&self) -> u64 {
         self.damaged
     }
 
-    /// The line of a frame, without the zero at its end.
+    /// Decodes a frame, given without the zero at its end, to a line.
     fn line(&mut self, frame: &[u8]) -> Line {
         let mut stream = self.table.new_stream_decoder();
         stream.received(frame);
@@ -158,21 +159,21 @@ impl Decoder {
             Ok(frame) => {
                 let time = frame.display_timestamp().and_then(|time| microseconds(&time.to_string()));
                 Line {
-                    time_us: time.map(|us| self.clock.at(us)),
+                    time_us: time.map(|us| self.clock.extend(us)),
                     level: Level::of(&frame),
                     message: frame.display_message().to_string(),
                 }
             }
             Err(DecodeError::Malformed | DecodeError::UnexpectedEof) => {
                 self.damaged += 1;
-                let message = format!("a damaged frame, {} bytes", frame.len());
+                let message = format!("damaged frame of {} bytes", frame.len());
                 Line { time_us: None, level: None, message }
             }
         }
     }
 }
 
-/// The time in `seconds.microseconds`, as defmt shows a `{=u32:us}`; `None` for any other form.
+/// Parses a time in the form `seconds.microseconds`, in which defmt displays `{=u32:us}`; returns `None` for another form.
 fn microseconds(text: &str) -> Option<u64> {
     let (seconds, fraction) = text.split_once('.')?;
     let digits = |text: &str| !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_digit());
@@ -182,28 +183,30 @@ fn microseconds(text: &str) -> Option<u64> {
     seconds.parse::<u64>().ok()?.checked_mul(1_000_000)?.checked_add(fraction.parse().ok()?)
 }
 
-/// The extension of 32 bits of microseconds.
+/// Extension of a 32-bit time in microseconds to 64 bits.
 #[derive(Clone, Copy, Debug, Default)]
 struct Clock {
     last: Option<u64>,
-    rounds: i64,
+    wraps: i64,
 }
 
 impl Clock {
-    const ROUND: u64 = 1 << 32;
+    /// Period after which the time wraps, µs.
+    const PERIOD: u64 = 1 << 32;
 
-    fn at(&mut self, us: u64) -> u64 {
-        if us >= Self::ROUND {
+    /// Extends a time, µs.
+    fn extend(&mut self, us: u64) -> u64 {
+        if us >= Self::PERIOD {
             return us;
         }
         match self.last {
-            None if us >= Self::ROUND - 1_000_000 => self.rounds = -1,
-            Some(last) if us + Self::ROUND / 2 < last => self.rounds += 1,
+            None if us >= Self::PERIOD - 1_000_000 => self.wraps = -1,
+            Some(last) if us + Self::PERIOD / 2 < last => self.wraps += 1,
             _ => {}
         }
         self.last = Some(us);
-        // What is before zero is given as zero.
-        (us as i64).saturating_add(self.rounds.saturating_mul(Self::ROUND as i64)).max(0) as u64
+        // A time before zero is returned as zero.
+        (us as i64).saturating_add(self.wraps.saturating_mul(Self::PERIOD as i64)).max(0) as u64
     }
 }
 
@@ -212,7 +215,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn only_seconds_with_six_decimals_are_a_time() {
+    fn time_stamp_needs_seconds_with_six_decimals() {
         assert_eq!(microseconds("0.000000"), Some(0));
         assert_eq!(microseconds("4294.967295"), Some(u64::from(u32::MAX)));
         for other in ["", "12", "12.345", "0:00:01.000000", "-1.000000", "1.0000000", "1.+00001"] {
@@ -223,21 +226,21 @@ mod tests {
     }
 
     #[test]
-    fn the_clock_wraps_and_a_reset_begins_anew() {
+    fn clock_extends_32_bits_and_accepts_resets() {
         let mut clock = Clock::default();
-        assert_eq!(clock.at(5_000_000), 5_000_000);
-        assert_eq!(clock.at(4_999_990), 4_999_990);
-        assert_eq!(clock.at(10), 10);
-        assert_eq!(clock.at(0xffff_ff00), 0xffff_ff00);
-        assert_eq!(clock.at(0x10), (1 << 32) + 0x10);
+        assert_eq!(clock.extend(5_000_000), 5_000_000);
+        assert_eq!(clock.extend(4_999_990), 4_999_990);
+        assert_eq!(clock.extend(10), 10);
+        assert_eq!(clock.extend(0xffff_ff00), 0xffff_ff00);
+        assert_eq!(clock.extend(0x10), (1 << 32) + 0x10);
 
         let mut before_zero = Clock::default();
-        assert_eq!(before_zero.at(0xffff_fe0c), 0);
-        assert_eq!(before_zero.at(0xffff_fe20), 0);
-        assert_eq!(before_zero.at(999_500), 999_500);
-        assert_eq!(before_zero.at(0xffff_ff00), 0xffff_ff00);
-        assert_eq!(before_zero.at(7), (1 << 32) + 7);
-        // What has more than 32 bits is no count that wraps.
-        assert_eq!(Clock::default().at(1 << 33), 1 << 33);
+        assert_eq!(before_zero.extend(0xffff_fe0c), 0);
+        assert_eq!(before_zero.extend(0xffff_fe20), 0);
+        assert_eq!(before_zero.extend(999_500), 999_500);
+        assert_eq!(before_zero.extend(0xffff_ff00), 0xffff_ff00);
+        assert_eq!(before_zero.extend(7), (1 << 32) + 7);
+        // A time of more than 32 bits does not wrap.
+        assert_eq!(Clock::default().extend(1 << 33), 1 << 33);
     }
 }

@@ -1,13 +1,13 @@
-//! The firmware's log, from a microcontroller's memory to lines of text.
+//! Reading of the firmware's log: from the memory of a microcontroller to lines of text.
 //!
 //! ```text
 //!  firmware: defmt ──frames──► ring in RAM (RTT) ──drain──► bytes ──Decoder::push──► lines
 //!                                                                       ▲
 //!                                          the image (ELF): format strings
 //! ```
-//! The firmware sends numbers only. Which text they belong to is in its image, in a section that is not flashed: so
-//! the image must be the one that runs. [`drain`] takes the bytes out of any memory that can be read and written: an
-//! emulator's, or a real one behind a debug probe.
+//! The firmware sends only numbers. Their texts are in its image, in a section that is not flashed, so the decoder needs
+//! the same image as the one that runs. [`drain`] reads the bytes from any memory that can be read and written: that of an
+//! emulator, or a real one through a debug probe.
 //!
 //! ```no_run
 //! # fn memory() -> impl firmware_log::Memory { struct M; impl firmware_log::Memory for M {
@@ -24,9 +24,9 @@
 //! ```
 //!
 //! # Limits
-//! - What was logged between the last [`drain`] and a reset is lost: the start of the firmware empties the ring.
-//! - The decoder believes the length of a list of values (`{=[?]}`), and reserves memory for it. A damaged frame with
-//!   such a list could ask for more than there is. Kestrel logs no lists.
+//! - Lines between the last [`drain`] and a reset are lost, because the start of the firmware empties the ring.
+//! - The decoder does not check the length of a list of values (`{=[?]}`) before it allocates memory for it. A damaged frame
+//!   with such a list could exhaust the memory. Kestrel logs no lists.
 #![forbid(unsafe_code)]
 #![warn(missing_docs)]
 

@@ -1,52 +1,52 @@
-//! SEGGER's real-time transfer, the target's side of which is the crate `defmt-rtt`: a ring in RAM that the firmware
-//! writes and a debugger reads, while both run.
+//! SEGGER's real-time transfer (RTT): a ring in RAM that the firmware writes and a debugger reads while the firmware runs.
+//! On the target it is implemented by the crate `defmt-rtt`.
 //!
-//! # The control block
-//! It is at the symbol `_SEGGER_RTT`; all numbers are 32 bits, little-endian.
+//! # Control block
+//! The control block is at the symbol `_SEGGER_RTT`. All numbers have 32 bits, little-endian.
 //!
-//! | at | what | written by |
+//! | offset | content | written by |
 //! |---|---|---|
 //! | 0 | `SEGGER RTT`, and six zeros | start of the firmware |
 //! | 16 | number of channels to the host, `n` | start |
 //! | 20 | number of channels from the host | start |
-//! | 24 | `n` channels of 24 bytes each, the first of which is defmt's | |
+//! | 24 | `n` channels of 24 bytes each; the first is defmt's | |
 //!
-//! | at | of a channel | written by |
+//! | offset in a channel | content | written by |
 //! |---|---|---|
 //! | 0 | address of its name | start |
 //! | 4 | address of the ring | start |
-//! | 8 | bytes of the ring | start |
-//! | 12 | place in the ring that is written next | firmware |
-//! | 16 | place that is read next | host |
-//! | 20 | what to do if the ring is full: 0 skip, 1 trim, 2 wait | host |
+//! | 8 | size of the ring, bytes | start |
+//! | 12 | write offset: position in the ring of the next write | firmware |
+//! | 16 | read offset: position of the next read | host |
+//! | 20 | mode for a full ring: 0 skip, 1 trim, 2 wait | host |
 //!
-//! The ring is empty when both places are the same, so it holds one byte less than it has. Kestrel's firmware never
-//! waits, whatever the last number says: a line for which there is no room is dropped as a whole.
+//! The ring is empty if both offsets are equal, so it can hold one byte less than its size. Kestrel's firmware ignores the
+//! mode and never waits: a line that does not fit is dropped as a whole.
 
 use std::{fmt, io};
 
 use object::{Object as _, ObjectSymbol as _};
 
 const ID: &[u8; 16] = b"SEGGER RTT\0\0\0\0\0\0";
-/// Bytes of the control block up to the end of its first channel.
+/// Length of the control block up to the end of its first channel, bytes.
 const HEADER: usize = 24 + 24;
-/// Place of the first channel's `read` in the control block.
+/// Offset of the first channel's read offset in the control block.
 const READ: u32 = 24 + 16;
-/// More than this, bytes, no ring has: the largest microcontroller has less RAM.
+/// Maximum size of a ring, bytes: no microcontroller has more RAM.
 const MAX_RING: u32 = 1 << 24;
 
 /// A microcontroller's memory.
 pub trait Memory {
-    /// Fills `bytes` from `address` on.
+    /// Reads the memory from `address` on into `bytes`.
     ///
     /// # Errors
-    /// There is no such memory, or it cannot be reached.
+    /// The memory does not exist or cannot be accessed.
     fn read(&mut self, address: u32, bytes: &mut [u8]) -> io::Result<()>;
 
-    /// Writes a word at a multiple of four.
+    /// Writes a word at an address that is a multiple of four.
     ///
     /// # Errors
-    /// There is no such memory, or it cannot be reached.
+    /// The memory does not exist or cannot be accessed.
     fn write_u32(&mut self, address: u32, value: u32) -> io::Result<()>;
 }
 
@@ -60,23 +60,23 @@ impl<M: Memory + ?Sized> Memory for &mut M {
     }
 }
 
-/// Why the ring cannot be read.
+/// The reason why the ring cannot be read.
 #[derive(Debug)]
 pub enum RttError {
     /// The firmware has not started yet, or the address is not that of a control block.
     NotThere,
-    /// A number in it that cannot be.
+    /// A number in the control block is invalid.
     Damaged {
-        /// Which one.
+        /// Name of the number.
         what: &'static str,
-        /// The number.
+        /// Value.
         value: u32,
     },
     /// The memory cannot be read or written.
     Memory {
-        /// Where.
+        /// Address of the access.
         address: u32,
-        /// Why.
+        /// Reason.
         error: io::Error,
     },
 }
@@ -84,7 +84,7 @@ pub enum RttError {
 impl fmt::Display for RttError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::NotThere => write!(f, "there is no RTT control block: the firmware has not started"),
+            Self::NotThere => write!(f, "no RTT control block: the firmware has not started"),
             Self::Damaged { what, value } => {
                 write!(f, "the RTT control block is damaged: its {what} is {value:#x}")
             }
@@ -102,17 +102,17 @@ impl std::error::Error for RttError {
     }
 }
 
-/// The address of the control block in an image; `None` if there is none, or if it is no ELF image.
+/// Returns the address of the control block in an image; `None` if the image has no control block, or is not an ELF file.
 pub fn rtt_control_block(elf: &[u8]) -> Option<u32> {
     let elf = object::File::parse(elf).ok()?;
     let mut symbols = elf.symbols().filter(|symbol| symbol.name() == Ok("_SEGGER_RTT"));
     symbols.next()?.address().try_into().ok()
 }
 
-/// Takes all bytes out of the first channel's ring. The firmware may write while this runs.
+/// Reads and removes all bytes of the first channel's ring. The firmware may write at the same time.
 ///
 /// # Errors
-/// There is no control block at this address, it makes no sense, or the memory fails. Nothing was taken then.
+/// There is no control block at this address, it is damaged, or the memory cannot be accessed. The ring is unchanged then.
 pub fn drain(memory: &mut impl Memory, control_block: u32) -> Result<Vec<u8>, RttError> {
     let mut header = [0; HEADER];
     read(memory, control_block, &mut header)?;
@@ -121,15 +121,16 @@ pub fn drain(memory: &mut impl Memory, control_block: u32) -> Result<Vec<u8>, Rt
     }
     let [channels, _, _, ring, size, write, read_from, _] =
         std::array::from_fn(|n| u32::from_le_bytes(std::array::from_fn(|byte| header[16 + 4 * n + byte])));
-    let sane = |what, value, is: bool| if is { Ok(()) } else { Err(RttError::Damaged { what, value }) };
-    sane("number of channels", channels, (1..=16).contains(&channels))?;
-    sane("ring's size", size, (2..=MAX_RING).contains(&size))?;
-    sane("ring's address", ring, ring != 0 && ring.checked_add(size).is_some())?;
-    sane("place to write", write, write < size)?;
-    sane("place to read", read_from, read_from < size)?;
-    let place = control_block
+    let check =
+        |what, value, valid: bool| if valid { Ok(()) } else { Err(RttError::Damaged { what, value }) };
+    check("number of channels", channels, (1..=16).contains(&channels))?;
+    check("ring size", size, (2..=MAX_RING).contains(&size))?;
+    check("ring address", ring, ring != 0 && ring.checked_add(size).is_some())?;
+    check("write offset", write, write < size)?;
+    check("read offset", read_from, read_from < size)?;
+    let read_offset_at = control_block
         .checked_add(READ)
-        .filter(|place| place.is_multiple_of(4))
+        .filter(|address| address.is_multiple_of(4))
         .ok_or(RttError::Damaged { what: "own address", value: control_block })?;
     if write == read_from {
         return Ok(Vec::new());
@@ -142,7 +143,9 @@ pub fn drain(memory: &mut impl Memory, control_block: u32) -> Result<Vec<u8>, Rt
     if wrapped > 0 {
         read(memory, ring, tail)?;
     }
-    memory.write_u32(place, write).map_err(|error| RttError::Memory { address: place, error })?;
+    memory
+        .write_u32(read_offset_at, write)
+        .map_err(|error| RttError::Memory { address: read_offset_at, error })?;
     Ok(bytes)
 }
 
@@ -184,7 +187,7 @@ mod tests {
         }
     }
 
-    /// RAM with a control block of one channel.
+    /// Returns RAM with a control block of one channel.
     fn ram(size: u32, write: u32, read: u32) -> Ram {
         let mut ram = Ram(vec![0; 0x200]);
         let at = (BLOCK - RAM) as usize;
@@ -199,7 +202,7 @@ mod tests {
     }
 
     #[test]
-    fn what_was_written_is_taken_once() {
+    fn drain_returns_written_bytes_once() {
         let mut straight = ram(16, 7, 3);
         assert_eq!(drain(&mut straight, BLOCK).unwrap(), [3, 4, 5, 6]);
         assert!(drain(&mut straight, BLOCK).unwrap().is_empty());
@@ -209,22 +212,22 @@ mod tests {
     }
 
     #[test]
-    fn a_damaged_control_block_is_named() {
-        let said = |mut ram: Ram| drain(&mut ram, BLOCK).unwrap_err().to_string();
-        assert!(said(Ram(vec![0; 0x200])).contains("has not started"));
-        assert!(said(ram(16, 16, 0)).contains("place to write is 0x10"));
-        assert!(said(ram(16, 0, 0xffff_ffff)).contains("place to read"));
-        assert!(said(ram(0, 0, 0)).contains("ring's size is 0x0"));
-        assert!(said(ram(MAX_RING + 1, 0, 0)).contains("ring's size"));
-        assert!(said(ram(0x1000, 0xf00, 0)).contains("memory at 0x20000100: not RAM"));
+    fn error_names_the_damaged_field() {
+        let error = |mut ram: Ram| drain(&mut ram, BLOCK).unwrap_err().to_string();
+        assert!(error(Ram(vec![0; 0x200])).contains("has not started"));
+        assert!(error(ram(16, 16, 0)).contains("write offset is 0x10"));
+        assert!(error(ram(16, 0, 0xffff_ffff)).contains("read offset"));
+        assert!(error(ram(0, 0, 0)).contains("ring size is 0x0"));
+        assert!(error(ram(MAX_RING + 1, 0, 0)).contains("ring size"));
+        assert!(error(ram(0x1000, 0xf00, 0)).contains("memory at 0x20000100: not RAM"));
         let with = |n: u32, value| {
             let mut ram = ram(16, 7, 3);
             ram.write_u32(BLOCK + 16 + 4 * n, value).unwrap();
             ram
         };
-        assert!(said(with(0, 0)).contains("number of channels"));
-        assert!(said(with(3, 0xffff_fff8)).contains("ring's address"));
-        // Nothing behind the address, or too little.
+        assert!(error(with(0, 0)).contains("number of channels"));
+        assert!(error(with(3, 0xffff_fff8)).contains("ring address"));
+        // No memory at the address, or too little after it.
         let mut block_at_the_end = ram(16, 7, 3);
         for address in [0, RAM + 0x1f0, u32::MAX - 8] {
             assert!(matches!(drain(&mut block_at_the_end, address), Err(RttError::Memory { .. })));
@@ -233,11 +236,11 @@ mod tests {
 
     proptest! {
         #[test]
-        fn any_control_block_gives_bytes_or_an_error(words: [u32; 8], places: [u8; 4]) {
+        fn any_control_block_gives_bytes_or_an_error(words: [u32; 8], fields: [u8; 4]) {
             let mut ram = ram(64, 0, 0);
-            // Any number in some of its places, a plausible one in the others.
-            for (n, place) in places.into_iter().enumerate() {
-                let at = BLOCK + 16 + 4 * u32::from(place % 8);
+            // Random numbers in some fields, plausible ones in others.
+            for (n, field) in fields.into_iter().enumerate() {
+                let at = BLOCK + 16 + 4 * u32::from(field % 8);
                 ram.write_u32(at, if n % 2 == 0 { words[n] } else { words[n] % 96 }).unwrap();
             }
             if let Ok(bytes) = drain(&mut ram, BLOCK) {

@@ -1,4 +1,4 @@
-//! A small image with a table of messages, and frames of it.
+//! Tests of the decoder with frames of a small image that has a table of messages.
 
 use firmware_log::{Decoder, Error, Level, rtt_control_block};
 use object::write::{Object, Symbol, SymbolSection};
@@ -7,7 +7,8 @@ use proptest::prelude::*;
 
 const RTT: u64 = 0x2000_0100;
 
-/// An image with these symbols in its section `.defmt`: address, tag and text. And with the names that say how it logs.
+/// Returns an image with these messages (address, tag and text) as symbols in its section `.defmt`, and with the symbols
+/// `marks`, which give version and encoding of the log.
 fn image(messages: &[(u64, &str, &str)], marks: &[&str]) -> Vec<u8> {
     let mut elf = Object::new(BinaryFormat::Elf, Architecture::Arm, Endianness::Little);
     let section = elf.add_section(Vec::new(), b".defmt".to_vec(), SectionKind::Other);
@@ -40,8 +41,8 @@ const MESSAGES: [(u64, &str, &str); 6] = [
     (6, "defmt_timestamp", "{=u32:us}"),
 ];
 
-/// The encoding of <https://github.com/Dirbaio/rzcobs>, in its plainest form: groups of seven bytes, and behind each a
-/// byte that marks the zeros among them, which are left out.
+/// Encodes a frame by <https://github.com/Dirbaio/rzcobs> in its simplest form: groups of seven bytes without their zeros,
+/// each followed by a byte that marks the zeros.
 fn encode(frame: &[u8]) -> Vec<u8> {
     let mut padded = frame.to_vec();
     padded.resize(frame.len().next_multiple_of(7), 0);
@@ -49,7 +50,7 @@ fn encode(frame: &[u8]) -> Vec<u8> {
     for group in padded.chunks(7) {
         bytes.extend(group.iter().filter(|&&byte| byte != 0));
         let mark = group.iter().enumerate().fold(0, |mark, (n, &byte)| mark | u8::from(byte == 0) << n);
-        // All seven of them are not zero: that needs the mark of a longer run, which the tests do without.
+        // A group without a zero needs another mark, which these tests do not use.
         assert_ne!(mark, 0, "a group without a zero");
         bytes.push(mark);
     }
@@ -62,7 +63,7 @@ fn frame(index: u16, time_us: u32, arguments: &[u8]) -> Vec<u8> {
 }
 
 #[test]
-fn frames_become_lines_with_time_and_level() {
+fn frames_decode_to_lines_with_time_and_level() {
     let mut decoder = Decoder::new(&image(&MESSAGES, &MARKS)).unwrap();
     let mut bytes = frame(1, 0, &[3, 0, 0, 0, b'a', b'b', b'c']);
     bytes.extend(frame(2, 1_500_000, &[5, 0, 0, 0]));
@@ -84,7 +85,7 @@ fn frames_become_lines_with_time_and_level() {
 }
 
 #[test]
-fn a_frame_may_come_in_pieces() {
+fn frame_in_pieces_is_decoded() {
     let bytes = frame(2, 7, &[1, 0, 0, 0]);
     let mut decoder = Decoder::new(&image(&MESSAGES, &MARKS)).unwrap();
     let (last, before) = bytes.split_last().unwrap();
@@ -96,19 +97,19 @@ fn a_frame_may_come_in_pieces() {
 }
 
 #[test]
-fn a_damaged_frame_is_a_line_and_the_next_one_is_whole() {
+fn damaged_frame_gives_a_line_and_next_is_decoded() {
     let mut decoder = Decoder::new(&image(&MESSAGES, &MARKS)).unwrap();
     let mut bytes = frame(99, 7, &[]);
     bytes.extend(frame(3, 8, &[]));
     let lines = decoder.push(&bytes);
-    assert_eq!(lines[0].message, "a damaged frame, 3 bytes");
+    assert_eq!(lines[0].message, "damaged frame of 3 bytes");
     assert_eq!((lines[0].time_us, lines[0].level), (None, None));
     assert_eq!(lines[1].message, "it is over");
     assert_eq!(decoder.damaged(), 1);
 }
 
 #[test]
-fn an_image_without_a_log_is_refused() {
+fn image_without_log_is_refused() {
     let refused = |elf: &[u8]| Decoder::new(elf).unwrap_err();
     assert!(matches!(refused(b"no image"), Error::Unreadable(_)));
     assert!(refused(&image(&MESSAGES, &[])).to_string().contains("no defmt version symbol"));
@@ -118,7 +119,7 @@ fn an_image_without_a_log_is_refused() {
 }
 
 #[test]
-fn the_control_block_is_found_by_its_name() {
+fn control_block_is_found_by_its_symbol() {
     assert_eq!(rtt_control_block(&image(&MESSAGES, &MARKS)), Some(RTT as u32));
     assert_eq!(rtt_control_block(b"no image"), None);
 }
@@ -129,7 +130,7 @@ proptest! {
         let mut decoder = Decoder::new(&image(&MESSAGES, &MARKS)).unwrap();
         for piece in &pieces {
             decoder.push(piece);
-            // The same as the arguments of a known message.
+            // The same bytes as arguments of a known message.
             let arguments: Vec<u8> = piece.iter().flat_map(|&byte| [byte, 0]).collect();
             decoder.push(&frame(u16::from(index), 0, &arguments));
         }

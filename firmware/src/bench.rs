@@ -1,8 +1,8 @@
-//! The sensors' samples in the log, for the bench: raw ones as they come, calibrated ones of the
-//! magnetometer too, of the inertial sensor ten times a second.
+//! Logs the sensors' samples for the bench: all raw samples, all calibrated magnetometer samples, and ten calibrated
+//! IMU samples a second.
 //!
-//! A raw line is 22 bytes on the wire, so that a thousand a second are 22 kB/s. What the probe does not fetch in
-//! time is dropped, line by line: the time in each shows it.
+//! A raw line takes 22 bytes on the wire: 1,000 lines a second are 22 kB/s. Lines that the probe does not read in time
+//! are dropped as a whole; the times in the remaining lines show the gap.
 
 use core::cell::Cell;
 
@@ -11,7 +11,7 @@ use flight_core::Config;
 use flight_core::calibration::{Calibration, SensorFields, SensorModel};
 use flight_core::sample::{ImuSample, MagSample};
 
-/// Milliseconds from one calibrated sample of the inertial sensor to the next.
+/// Time from one calibrated IMU sample in the log to the next, ms.
 const CALIBRATED_MS: u64 = 100;
 
 /// Logs a step's samples.
@@ -41,10 +41,10 @@ pub fn log(time_us: u64, imu: Option<ImuSample>, mag: Option<MagSample>) {
     }
 }
 
-/// The sensors' models, once [`begin`] has made them.
+/// The sensors' models, set by [`begin`].
 static MODELS: Mutex<Cell<Option<[SensorModel; 3]>>> = Mutex::new(Cell::new(None));
 
-/// Samples are calibrated by `config` from now on.
+/// Uses the calibration in `config` for all later samples.
 pub fn begin(config: &Config) {
     let models = models(config);
     free(|cs| MODELS.borrow(cs).set(models));

@@ -1,14 +1,14 @@
 //! Faults stop the motors.
 //!
-//! The PWM timers go on by themselves, and an ESC holds its last throttle for a while when frames stop coming: without
-//! this, a fault in flight would leave the motors as they were. Every way out of the program ends here: a panic, a
-//! fault, a stack that has run out of its region, an interrupt that has no handler, a control loop that hangs
-//! ([`tasks::sampling`]).
+//! The PWM timers run without the core, and an ESC holds its last throttle for a while after the last frame. Without
+//! this module, a fault in flight would leave the motors running. Every abnormal end of the program leads here: a
+//! panic, a fault, a stack overflow, an interrupt without a handler, a control loop that hangs ([`tasks::sampling`]).
 //!
-//! The stop is on every pad 0.1 to 3.6 ms later, by protocol (`firmware/src/stm32f405/esc.rs` has the arithmetic), and
-//! goes on. From then on nothing feeds the watchdog, which resets the board 0.68 to 1.88 s after its last feed (its clock
-//! is that inaccurate). The board starts again with its outputs stopped, and its arm state says why. A fault before
-//! `init` has started the watchdog ends in no reset; at that time nothing drives the motor pads.
+//! The stop pulse is on every pad after 0.1 to 3.6 ms, depending on the protocol (`firmware/src/stm32f405/esc/end.rs`
+//! has the arithmetic), and is sent again until the reset. The watchdog is no longer fed, and resets the board 0.68 to
+//! 1.88 s after its last feed; the range comes from the tolerance of its clock. The board then starts with its outputs
+//! stopped, and its arm state gives the cause. A fault before `init` has started the watchdog causes no reset, but at
+//! that time nothing drives the motor pads.
 
 use core::arch::naked_asm;
 
@@ -16,13 +16,14 @@ use cortex_m_rt::exception;
 
 use crate::board;
 
-/// The vector table's hard fault entry.
+/// The vector table's hard-fault entry.
 ///
-/// The fault may be that the stack has no room left, and then a function's first push would fault again,
-/// which locks the core up. Nothing returns from here, so the stack is begun anew.
+/// A stack overflow may be the cause. A function's first push would then fault again and lock up the core. This handler
+/// never returns, so it resets the stack pointer.
 ///
-/// The processor may still owe the interrupted code's floating-point registers to the old stack, into which it would
-/// write them at the next floating-point instruction: over the new one. FPCCR (0xe000_ef34) with zero in it forgets that.
+/// With lazy stacking, the processor may still have to store the interrupted code's floating-point registers on the old
+/// stack, at the next floating-point instruction. That would overwrite the new stack. Writing zero to FPCCR
+/// (0xe000_ef34) cancels the pending store.
 #[unsafe(naked)]
 #[unsafe(export_name = "HardFault")]
 unsafe extern "C" fn hard_fault() -> ! {
@@ -47,7 +48,7 @@ extern "C" fn stop() -> ! {
     board::stop()
 }
 
-/// Stops the motors, and only then says what has happened: writing that down may take a while, or panic again.
+/// Stops the motors first, and logs the panic afterwards: logging takes time, and may panic again.
 #[cfg(not(feature = "qemu"))]
 #[panic_handler]
 fn panic(info: &core::panic::PanicInfo) -> ! {

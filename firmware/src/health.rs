@@ -1,8 +1,8 @@
-//! The health line of the log, once a second.
+//! The log's health line, written once a second.
 
 use tasks::counters::COUNTERS;
 
-/// Writes it, and begins to count anew. `missed`: deadlines missed since start.
+/// Logs the counters and resets them. `missed` is the number of deadlines missed since start.
 pub fn log(missed: u32) {
     defmt::info!(
         "imu lost {=u32} polled {=u32} late {=u32} repeated {=u32} invalid {=u32} unreadable {=u32}, step {=u32} us, \

@@ -1,14 +1,14 @@
-//! What the slow tasks have for the next step.
+//! Inputs from the slow tasks for the next step.
 
 use flight_core::sample::{Battery, MagSample, RcFrame};
 
-/// The newest of each; a step takes all that there is.
+/// The newest input of each kind; each step takes all of them.
 #[derive(Clone, Copy, Default)]
 pub struct Inbox {
-    /// From the receiver.
+    /// The newest receiver frame.
     pub rc: Option<RcFrame>,
-    /// From the magnetometer.
+    /// The newest magnetometer sample.
     pub mag: Option<MagSample>,
-    /// The supply.
+    /// The newest battery voltage.
     pub battery: Option<Battery>,
 }

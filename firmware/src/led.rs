@@ -1,11 +1,11 @@
-//! What the board's LED says.
+//! The board's LED.
 //!
 //! | LED | meaning |
 //! |---|---|
-//! | fast blink (5 Hz) | no inertial samples |
-//! | lit | the motors turn, or may |
+//! | fast blink (5 Hz) | no IMU samples |
+//! | on | the motors turn, or may turn |
 //! | slow blink (1 Hz) | terminated: disarm first |
-//! | a short flash a second | disarmed, or in a state on the ground |
+//! | one short flash a second | disarmed, or another state on the ground |
 
 use flight_core::ArmState;
 use stm32f4xx_hal::gpio::{AnyPin, Output, PinState};
@@ -20,12 +20,12 @@ pub struct Led {
 }
 
 impl Led {
-    /// A LED that is lit by the level `on_level`.
+    /// Returns the LED on `pin`, which lights at the level `on_level`.
     pub fn new(pin: Option<AnyPin<Output>>, on_level: PinState) -> Self {
         Self { pin, on_level, steps: 0 }
     }
 
-    /// Shows a step.
+    /// Shows the state after a step.
     #[inline]
     pub fn show(&mut self, step: &Step) {
         self.steps = self.steps.wrapping_add(1);

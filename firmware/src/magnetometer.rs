@@ -1,7 +1,7 @@
-//! The magnetometer: looked for, read, given up, looked for again.
+//! The magnetometer: search, read, detect loss, search again.
 //!
-//! It hangs on a connector, and may not be there, or not any more. None of that is anybody else's concern: the
-//! task has the lowest priority, and its bus ends every run in time, whatever the wires do. The watchdog does not look at
+//! It is on a connector, so it may be missing, or be unplugged at any time. That must not affect other tasks: this task
+//! has the lowest priority, its bus limits the time of each run in any state of the wires, and the watchdog does not check
 //! it.
 
 use drivers::qmc5883l::{Qmc5883l, SampleError};
@@ -11,7 +11,7 @@ use flight_core::sample::MagSample;
 
 use tasks::counters::COUNTERS;
 
-/// Runs from one attempt to find the sensor to the next: a second.
+/// Runs from one search for the sensor to the next: one second at 200 Hz.
 const RETRY_RUNS: u32 = 200;
 
 /// The magnetometer on its bus.
@@ -22,15 +22,15 @@ pub struct Magnetometer<B> {
 }
 
 impl<B: I2c + Clone> Magnetometer<B> {
-    /// Not looked for yet.
+    /// Returns the magnetometer before the first search.
     pub fn new(bus: B) -> Self {
         Self { bus, sensor: None, runs_to_retry: 0 }
     }
 
-    /// A run: the sample that is new, if there is one. Looks for the sensor first, if it is time to.
+    /// Returns the new sample, if there is one. Searches for the sensor first if that is due.
     pub fn run(&mut self, delay: &mut impl DelayNs) -> Option<MagSample> {
         let Some(sensor) = &mut self.sensor else {
-            self.look_for_it(delay);
+            self.search(delay);
             return None;
         };
         match sensor.sample() {
@@ -44,7 +44,7 @@ impl<B: I2c + Clone> Magnetometer<B> {
                 COUNTERS.mag.add();
                 Some(sample)
             }
-            // The field is beyond the range: the sensor is well.
+            // The field exceeds the range: the sensor itself works.
             Err(SampleError::Overflow) => {
                 COUNTERS.mag_errors.add();
                 None
@@ -58,7 +58,7 @@ impl<B: I2c + Clone> Magnetometer<B> {
         }
     }
 
-    fn look_for_it(&mut self, delay: &mut impl DelayNs) {
+    fn search(&mut self, delay: &mut impl DelayNs) {
         if self.runs_to_retry > 0 {
             self.runs_to_retry -= 1;
             return;

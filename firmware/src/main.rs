@@ -2,34 +2,35 @@
 //!
 //! # What happens in a millisecond
 //! ```text
-//!        0 µs      the inertial sensor raises its data-ready line: the board's interrupt notes the time and
-//!                  starts a burst of DMA
-//!       13 µs      the burst is done, and its vector is that of `control_loop`: sample and inbox to the flight
-//!                  controller, pulses and permit to the outputs
-//!     any time     `tick`: the bytes that the receiver has sent; starts what is due of `battery`, `magnetometer`,
-//!                  `health`, and `imu_setup` while the sensor is being set up
+//!        0 µs      the IMU raises its data-ready line: the board's interrupt handler stores the time and
+//!                  starts a DMA burst
+//!       13 µs      the burst is done and raises the vector of `control_loop`: sample and inbox go to the flight
+//!                  controller, pulses and permit go to the outputs
+//!     any time     `tick`: reads the bytes from the receiver; starts `battery`, `magnetometer` and `health` when
+//!                  they are due, and `imu_setup` during the IMU's set-up
 //!                  idle: sleeps
 //!    1,000 µs      the next sample
 //! ```
-//! If the next edge does not come, a timer starts the burst at 1,500 µs after the last one, and then every
-//! 1,000 µs. If that brings no sample, or the sensor is being set up, the step runs without one, and the flight
-//! controller decides what to make of it.
+//! If the next edge does not come, a timer starts the burst 1,500 µs after the last sample, and then every 1,000 µs. If
+//! the burst brings no sample, or during the IMU's set-up, the step runs without a sample. The flight controller
+//! decides how to react.
 //!
-//! # Who may do what
-//! Whether the motors turn is decided in one place, `flight_core::arming`, which hands out a `MotorPermit`
-//! with each step in which they may. `Outputs::drive` takes that permit by value, and nothing else writes a
-//! pulse other than the stop pulse. A panic, a fault, an interrupt that nobody expected, and a control loop that
-//! does not end its run stop the motors ([`fault`]). The watchdog is fed in one place, `battery`, and only if
-//! the tasks that a flight needs are on time ([`tasks::deadlines`]).
+//! # Which code may drive the motors
+//! Only `flight_core::arming` decides whether the motors may turn. For each step in which they may, it returns a
+//! `MotorPermit`. `Outputs::drive` takes that permit by value, and no other function sends a pulse other than the stop
+//! pulse. A panic, a fault, an unexpected interrupt and a control loop that does not finish its run stop the motors
+//! ([`fault`]). Only `battery` feeds the watchdog, and only if the tasks that a flight needs are on time
+//! ([`tasks::deadlines`]).
 //!
-//! # Two boards, one set of tasks
-//! The tasks below are the same in flight, on a desk and on QEMU; what differs lies in [`board`]. With the feature
+//! # Several boards, one set of tasks
+//! The tasks below are the same in flight, on a desk and on QEMU; the differences are in [`board`]. With the feature
 //! `bench` the outputs are never driven, and every sample is logged.
 //!
 //! # The last step
-//! Each step's input and outcome stand in RAM at the symbol `FLIGHT_RECORD`, for a debug probe ([`recorder`]).
+//! The input and the outcome of the last step are in RAM at the symbol `FLIGHT_RECORD`, for a debug probe
+//! ([`recorder`]).
 //!
-//! `docs/timing.md` has each task's worst time and what follows from it.
+//! `docs/timing.md` has each task's worst-case time and the consequences.
 #![no_std]
 #![no_main]
 #![warn(missing_docs)]
@@ -57,13 +58,14 @@ use defmt_rtt as _;
 #[cfg(feature = "qemu")]
 use panic_semihosting as _;
 
-/// Without it defmt compiles only errors in, and a silent firmware looks like a dead one.
+/// Makes the build fail without DEFMT_LOG: defmt would then compile in errors only, and working firmware would log
+/// nothing.
 const _: () = assert!(option_env!("DEFMT_LOG").is_some(), ".cargo/config.toml sets DEFMT_LOG");
 
 defmt::timestamp!("{=u32:us}", board::now_us());
 
-/// What this image is: the board's name, and the features that change what it does. The emulator and people with a
-/// debug probe read it by its symbol; it ends with a zero.
+/// The image's name: the board's name, and the features that change the image's behaviour; zero-terminated. The
+/// emulator and a debug probe read it by its symbol.
 #[unsafe(no_mangle)]
 #[used]
 static KESTREL_IMAGE: [u8; IMAGE_NAME.len()] = {
@@ -86,19 +88,19 @@ const IMAGE_NAME: &str = if cfg!(feature = "bench") {
 // |                | pended when overdue           |      |          |               | monitor; inbox, deadlines               |
 // | `tick`         | SysTick                       | 4    | 1 kHz    | 1 ms          | receiver; inbox, deadlines              |
 // | `battery`      | `tick`, every 20th            | 3    | 50 Hz    | 20 ms         | battery ADC, watchdog; inbox, deadlines |
-// | `imu_setup`    | `tick`, during set-up         | 2    | 1 kHz    | –             | the inertial sensor's set-up            |
+// | `imu_setup`    | `tick`, during set-up         | 2    | 1 kHz    | –             | the IMU's set-up                        |
 // | `health`       | `tick`, every 1,000th         | 2    | 1 Hz     | 1 s           | deadlines                               |
 // | `log_event`    | any task                      | 2    | rare     | –             | its argument                            |
 // | `log_samples`  | `control_loop` (`bench` only) | 2    | 1 kHz    | –             | its argument                            |
 // | `magnetometer` | `tick`, every 5th             | 1    | 200 Hz   | 5 ms          | magnetometer; inbox                     |
 // | `idle`         |                               | 0    |          |               |                                         |
 //
-// A flight needs `control_loop`, `tick` and `battery`, and the watchdog looks at these three. Whatever has a lower priority
-// may hang without holding them up.
+// A flight needs `control_loop`, `tick` and `battery`; the watchdog checks these three. A task of lower priority may
+// hang without delaying them.
 //
-// `inbox` and `deadlines` are shared under RTIC's priority ceiling, which is 5: a lock holds `control_loop` up for some
-// dozens of instructions, and priority 6, which takes the times, never. The dispatchers are the vectors of
-// peripherals that the F405 does not have, and of its random number generator, which nobody switches on.
+// RTIC's priority ceiling of `inbox` and `deadlines` is 5: a lock delays `control_loop` by some dozens of instructions,
+// and never delays priority 6, which takes the times. The dispatchers are the vectors of two peripherals that the F405
+// does not have, and of its random number generator, which the firmware never enables.
 #[rtic::app(device = stm32f4xx_hal::pac, peripherals = true, dispatchers = [CRYP, DCMI, HASH_RNG])]
 mod app {
     use flight_core::arming::Event;
@@ -117,14 +119,14 @@ mod app {
     use crate::inbox::Inbox;
     use crate::recorder;
 
-    /// The outputs are locked, because people are about.
+    /// Whether the outputs are locked, because people may be near the board.
     const BENCH: bool = cfg!(feature = "bench");
 
     /// An event for the log.
     pub enum LogEvent {
         /// The arm state has changed, or a request was refused.
         Arming(Event),
-        /// This task was late.
+        /// This task missed its deadline.
         Missed(Task),
     }
 
@@ -147,7 +149,7 @@ mod app {
         watchdog: Watchdog,
         watchdog_reset: bool,
         ticks: u32,
-        ticked_us: u32,
+        last_tick_us: u32,
     }
 
     #[init]
@@ -155,7 +157,7 @@ mod app {
         let board = board::init(cx.core, cx.device);
         let controller = match FlightController::new(&board.config) {
             Ok(controller) => controller,
-            // Its numbers go without a word: formatting floats takes a third of the flash that there is.
+            // The error's numbers are left out: formatting floats takes a third of the available flash.
             Err(error) => panic!("configuration: {} is out of range", error.field),
         };
         defmt::info!(
@@ -193,7 +195,7 @@ mod app {
             watchdog,
             watchdog_reset,
             ticks: 0,
-            ticked_us: board::now_us(),
+            last_tick_us: board::now_us(),
         };
         (Shared { inbox: Inbox::default(), deadlines: DeadlineMonitor::new(board::now_us()) }, local)
     }
@@ -213,7 +215,7 @@ mod app {
         let control_loop::LocalResources { controller, sampler, outputs, monitor, watchdog_reset, .. } =
             cx.local;
         let control_loop::SharedResources { mut inbox, mut deadlines, .. } = cx.shared;
-        let Some(sample) = sampler.take(board::now_us()) else { return };
+        let Some(sample) = sampler.next_sample(board::now_us()) else { return };
 
         let Inbox { rc, mag, battery } = inbox.lock(core::mem::take);
         let input = Input {
@@ -256,7 +258,7 @@ mod app {
             attitude,
             missed_deadlines: deadlines::missed(),
         });
-        // A line that finds the last one still being written is dropped: the next one comes.
+        // If the previous log line is still being written, this one is dropped.
         if let Some(event) = event {
             log_event::spawn(LogEvent::Arming(event)).ok();
         }
@@ -271,12 +273,12 @@ mod app {
         if sample.polled && deadlines.lock(|deadlines| deadlines.miss(Task::DataReady)) {
             log_event::spawn(LogEvent::Missed(Task::DataReady)).ok();
         }
-        sampling::served();
+        sampling::run_finished();
     }
 
-    #[task(binds = SysTick, priority = 4, shared = [inbox, deadlines], local = [receiver, ticks, ticked_us])]
+    #[task(binds = SysTick, priority = 4, shared = [inbox, deadlines], local = [receiver, ticks, last_tick_us])]
     fn tick(cx: tick::Context) {
-        let tick::LocalResources { receiver, ticks, ticked_us, .. } = cx.local;
+        let tick::LocalResources { receiver, ticks, last_tick_us, .. } = cx.local;
         let tick::SharedResources { mut inbox, mut deadlines, .. } = cx.shared;
 
         while let Some(frame) = receiver.poll() {
@@ -287,7 +289,7 @@ mod app {
                 log_event::spawn(LogEvent::Missed(task)).ok();
             }
         };
-        // What is still at its last run has missed the deadline of that.
+        // A task that is still in its previous run has missed that run's deadline.
         if ticks.is_multiple_of(MAGNETOMETER_TICKS) && magnetometer::spawn().is_err() {
             miss(Task::Magnetometer);
         }
@@ -297,16 +299,16 @@ mod app {
         if ticks.is_multiple_of(HEALTH_TICKS) && health::spawn().is_err() {
             miss(Task::Health);
         }
-        // It has no deadline: one that is still at its last step goes on with the next tick.
+        // `imu_setup` has no deadline: if it is still in its last step, it continues with the next tick.
         if sampling::setting_up() {
             imu_setup::spawn().ok();
         }
         *ticks = ticks.wrapping_add(1);
 
         let now_us = board::now_us();
-        // A tick that comes so long after the last has swallowed one.
-        let late = now_us.wrapping_sub(*ticked_us) > OVERDUE_US;
-        *ticked_us = now_us;
+        // At least one tick was lost if more than 1.5 periods have passed since the last one.
+        let late = now_us.wrapping_sub(*last_tick_us) > OVERDUE_US;
+        *last_tick_us = now_us;
         let deadline = if late { Deadline::Missed } else { Deadline::Met };
         if deadlines.lock(|deadlines| deadlines.check_in(Task::Tick, deadline, now_us)) {
             log_event::spawn(LogEvent::Missed(Task::Tick)).ok();
@@ -328,7 +330,7 @@ mod app {
         });
         match on_time {
             Ok(()) => watchdog.feed(),
-            Err(late) => defmt::warn!("watchdog not fed, late: {=u32:b}", late.bits()),
+            Err(late) => defmt::warn!("watchdog not fed, late tasks: {=u32:b}", late.bits()),
         }
     }
 

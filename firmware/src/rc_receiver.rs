@@ -1,4 +1,4 @@
-//! The receiver: from the bytes at its port to frames, in whatever protocol it speaks.
+//! The receiver: turns the bytes at its port into frames, in any supported protocol.
 
 use flight_core::rc::ChannelMap;
 use flight_core::sample::RcFrame;
@@ -18,12 +18,12 @@ pub struct RcReceiver<W> {
 }
 
 impl<W: HasWiring> RcReceiver<W> {
-    /// A port that has been opened for [`Search::FIRST`].
+    /// Takes a port that is open with the settings of [`Search::FIRST`].
     pub fn new(port: Port<W>, channels: ChannelMap) -> Self {
         Self { port, search: Search::new(channels), clock: Clock::new(), damaged: 0 }
     }
 
-    /// The next frame that the bytes so far have completed.
+    /// Returns the next complete frame.
     pub fn poll(&mut self) -> Option<RcFrame> {
         let now_us = self.clock.at(now_us());
         while let Some((at_us, received)) = self.port.next() {

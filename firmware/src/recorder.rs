@@ -1,43 +1,44 @@
-//! The last step of the control loop, where a debug probe finds it: at the symbol `FLIGHT_RECORD`.
+//! The last step of the control loop, for a debug probe: at the symbol `FLIGHT_RECORD`.
 //!
-//! It stays in RAM when a fault has stopped the motors, and until the watchdog's reset has started the firmware anew:
-//! then it is zeroed with all other variables. A probe that halts the core before that, or that reads along while the
-//! vehicle stands on a desk, sees what the flight controller was last given and what it answered, bit for bit. An
-//! emulator gets the same at every step. `flight_core::record` has the layout, and reads it.
+//! After a fault the record stays in RAM until the watchdog's reset; at the next start it is zeroed with all other
+//! variables. A probe that halts the core before the reset, or that reads while the board runs on a desk, gets the
+//! flight controller's last input and output, bit for bit. An emulator reads it at every step. `flight_core::record`
+//! has the layout and the decoder.
 //!
-//! | word | what |
+//! | word | content |
 //! |---|---|
-//! | 0 | sequence count: two more after each step; odd while the words behind it are being written |
+//! | 0 | sequence count: increased by two with each step; odd while the following words are being written |
 //! | 1 to 22 | [`StepRecord::to_words`] |
 //!
-//! Whoever reads it while the core runs reads word 0, then the rest, then word 0 again: the record is whole if both
-//! counts are the same and even. Zero is before the first step.
+//! To read it while the core runs, read word 0, then the rest, then word 0 again: the record is valid if both counts
+//! are equal and even. The count is zero before the first step.
 //!
-//! # What it costs
-//! It is written when the outputs have been driven. That takes at most 177 instructions, and about 20 to hand the step
-//! over: 2.4 µs at two cycles each. Between a sample and the motors 11 instructions more are executed on average, 23
-//! at most, because what the step was given must be in memory.
+//! # Cost
+//! The record is written after the outputs. Writing takes at most 177 instructions, and passing the step about 20: 2.4
+//! µs at two cycles each. Between a sample and the motors, the recorder adds 11 instructions on average and 23 at most,
+//! because the step's input must be kept in memory.
 
 use core::sync::atomic::{AtomicU32, Ordering, fence};
 
 use flight_core::Input;
 use flight_core::record::{Outcome, StepRecord, WORDS};
 
-/// The sequence count, and the last step's words. The name is the symbol's in the image.
+/// The sequence count and the words of the last step. The static's name is the symbol in the image.
 #[unsafe(no_mangle)]
 #[used]
 pub static FLIGHT_RECORD: [AtomicU32; WORDS + 1] = [const { AtomicU32::new(0) }; WORDS + 1];
 
-/// Records a step that was given `input`. Only the control loop does.
+/// Records a step with its input and outcome. Only the control loop calls it.
 ///
-/// A function of its own, so that the step itself need not keep what it was given in registers until here.
+/// It is not inlined, so that the step itself need not keep its input in registers until here.
 #[inline(never)]
 pub fn write(input: &Input, outcome: &Outcome) {
     let record = StepRecord::new(input, outcome);
     let [sequence, words @ ..] = &FLIGHT_RECORD;
     let count = sequence.load(Ordering::Relaxed);
     sequence.store(count.wrapping_add(1), Ordering::Relaxed);
-    // Before the words, and they before the second count: for whoever reads along.
+    // Orders the first count before the words; the release store below orders the words before the second count. A
+    // reader on the debug port sees the same order.
     fence(Ordering::Release);
     for (word, value) in words.iter().zip(record.to_words()) {
         word.store(value, Ordering::Relaxed);

@@ -1,4 +1,4 @@
-//! What the board is shown of a step.
+//! A finished step, as the board's monitor gets it.
 
 use flight_core::ArmState;
 use flight_core::arming::Event;
@@ -6,15 +6,15 @@ use flight_core::geometry::Quaternion;
 
 /// A finished step, for the board's `Monitor::show`.
 pub struct Step {
-    /// [`flight_core::Input::time_us`].
+    /// Time of the step, µs: [`flight_core::Input::time_us`].
     pub time_us: u64,
-    /// Whether an inertial sample came.
+    /// Whether the step had an IMU sample.
     pub sampled: bool,
-    /// [`flight_core::Output::state`].
+    /// Arm state after the step: [`flight_core::Output::state`].
     pub state: ArmState,
-    /// What happened to the arm state, if anything did.
+    /// Change of the arm state, or refusal, in this step.
     pub event: Option<Event>,
-    /// The attitude after the step.
+    /// Attitude after the step.
     pub attitude: Quaternion<f32>,
     /// Deadlines that the tasks have missed since start.
     pub missed_deadlines: u32,

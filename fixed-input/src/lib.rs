@@ -1,21 +1,20 @@
-//! Five seconds of input that the host and the emulated board both step through.
+//! Five seconds of fixed input for the same steps on the host and on the emulated board.
 //!
-//! It is no flight: nothing closes the loop, and the sensors do not show what the motors do. It is there to
-//! drive every stage of the chain with numbers that differ from step to step, the same on every machine:
-//! integer arithmetic only, and each slot a function of its index alone.
+//! This is not a flight: the loop is open, and the sensors do not react to the motors. The input exercises all stages of the
+//! chain with numbers that differ from step to step and are the same on every machine. It uses only integer arithmetic,
+//! and each slot is a function of its index.
 //!
 //! ```text
-//!  0 s      lying still: the gyroscope is zeroed
+//!  0 s      at rest: the gyroscope is zeroed
 //!  0.75 s   throttle low, yaw full right: checked from 1.76 s, armed at 2.26 s
-//!  2.5 s    throttle up, then roll, pitch and yaw moves; the vehicle turns at up to ±180 °/s about each axis
+//!  2.5 s    throttle up, then roll, pitch and yaw commands; the vehicle turns at up to ±180 °/s about each axis
 //!  3.0 s    every 61st sample is missing, 5 in a row at 3.5 s, 60 in a row at 3.7 s
-//!  4.3 s    150 samples in a row are missing: the sensor counts as lost at 0.1 s, and the motors stop
-//!  4.45 s   samples again: the estimator starts anew, disarmed
+//!  4.3 s    150 samples in a row are missing: after 0.1 s the sensor counts as lost, and the motors stop
+//!  4.45 s   samples return: the estimator restarts, disarmed
 //! ```
 //!
-//! A slot is a millisecond. If its sample arrives, its step is at the slot's start; if it does not, the
-//! deadline of 1.5 periods runs the step without a sample in the middle of the slot. So each slot has
-//! exactly one step.
+//! A slot is a millisecond. If its sample arrives, the slot's step is at its start. If not, the deadline of 1.5 periods runs
+//! the step without a sample in the middle of the slot. So each slot has exactly one step.
 #![no_std]
 #![forbid(unsafe_code)]
 #![warn(missing_docs)]
@@ -29,30 +28,29 @@ use flight_core::rc::{CENTRE_TICKS, HIGH_TICKS, LOW_TICKS};
 use flight_core::sample::{Battery, Health, ImuSample, LinkStatus, MagSample, RcFrame};
 use flight_core::{Config, ConfigError, Input, Params};
 
-/// Slots, and steps.
+/// Number of slots, and of steps.
 pub const STEPS: u32 = 5_000;
-/// Time from one sample to the next, µs.
+/// Sample period, µs.
 pub const PERIOD_US: u32 = 1_000;
-/// Words that a step is compared by: see [`words`].
+/// Number of words with which a step is compared: see [`words`].
 pub const WORDS_PER_STEP: usize = 10;
 
-/// The file, in its working directory, to which the emulated board writes its words: little-endian, step by
-/// step.
+/// Name of the file in the working directory to which the emulated board writes the words of all steps, little-endian.
 pub const WORDS_FILE: &CStr = c"words.bin";
 
-/// Receiver frames are this many slots apart: 50 Hz.
+/// Interval of receiver frames, slots: 50 Hz.
 const RC_SLOTS: u32 = 20;
-/// Magnetometer samples are this many slots apart: 100 Hz.
+/// Interval of magnetometer samples, slots: 100 Hz.
 const MAG_SLOTS: u32 = 10;
-/// Battery readings are this many slots apart: 10 Hz.
+/// Interval of battery readings, slots: 10 Hz.
 const BATTERY_SLOTS: u32 = 100;
 
-/// What both sides build their flight controller from.
+/// Returns the configuration of the flight controller on both sides.
 pub fn config() -> Config {
     Config { params: Params::default(), calibration: Some(Calibration::NONE) }
 }
 
-/// Whether the slot's inertial sample arrives.
+/// Returns whether the slot's inertial sample arrives.
 pub fn sample_arrives(slot: u32) -> bool {
     let lost = match slot {
         3_500..3_505 | 3_700..3_760 | 4_300..4_450 => true,
@@ -62,7 +60,7 @@ pub fn sample_arrives(slot: u32) -> bool {
     !lost
 }
 
-/// The slot's step.
+/// Returns the input of the slot's step.
 pub fn input(slot: u32) -> Input {
     let start_us = u64::from(slot) * u64::from(PERIOD_US);
     let arrives = sample_arrives(slot);
@@ -78,8 +76,8 @@ pub fn input(slot: u32) -> Input {
     }
 }
 
-/// A step in words, for comparison bit for bit: the low half of its time, whether the motors were driven,
-/// the four pulses that reached the outputs, and the attitude (w, x, y, z).
+/// Converts a step to words for a comparison bit for bit: the low half of its time, whether the motors were driven, the
+/// four pulses at the outputs, and the attitude (w, x, y, z).
 pub fn words(
     time_us: u64,
     driven: bool,
@@ -91,11 +89,11 @@ pub fn words(
     [time_us as u32, u32::from(driven), p1, p2, p3, p4, w, x, y, z]
 }
 
-/// A digest (FNV-1a, 32 bits) of the attitudes that an estimator goes through over the table's motions, with
-/// every sensor in every slot: the flight controller runs one estimator, and this compares them all.
+/// Returns a digest (FNV-1a, 32 bits) of an estimator's attitudes over the input's motions, with all sensors in each slot.
+/// The flight controller runs only one estimator; with this digest all estimators can be compared.
 ///
 /// # Errors
-/// Parameters out of range.
+/// A parameter is out of range.
 pub fn attitudes_digest(params: &EstimatorParams) -> Result<u32, ConfigError> {
     const DT_S: f32 = PERIOD_US as f32 * 1.0e-6;
     let sensors = config().params;
@@ -115,12 +113,12 @@ pub fn attitudes_digest(params: &EstimatorParams) -> Result<u32, ConfigError> {
     Ok(digest)
 }
 
-/// The slot from which the vehicle turns.
+/// First slot in which the vehicle turns.
 pub const FLIGHT: u32 = 2_500;
 
-/// The slot's inertial sample, whether it arrives or not.
+/// Returns the slot's inertial sample, whether it arrives or not.
 pub fn imu(slot: u32) -> ImuSample {
-    // Chip counts: 16.4 per °/s, 2,048 per g.
+    // In counts of the chip: 16.4 per °/s, 2,048 per g.
     let (turn, shake) = if slot < FLIGHT { (0, 8) } else { (3_000, 60) };
     let t = slot.saturating_sub(FLIGHT);
     let noise = |channel| jitter(slot, channel, shake);
@@ -138,19 +136,19 @@ pub fn imu(slot: u32) -> ImuSample {
     }
 }
 
-/// The slot's magnetometer sample, whether there is one in it or not.
+/// Returns the slot's magnetometer sample, whether it is delivered or not.
 pub fn mag(slot: u32) -> MagSample {
-    // 30 counts per µT: about 25 µT forward and 41 µT down, turning a little.
+    // At 30 counts per µT: about 25 µT forward and 41 µT down, with a small rotation.
     let noise = |channel| jitter(slot, channel, 9);
     let t = slot.saturating_sub(FLIGHT);
     MagSample { counts: [750 + noise(6), triangle(t, 2_100, 300) + noise(7), 1_230 + noise(8)] }
 }
 
-/// The slot's stick positions, whether there is a frame in it or not.
+/// Returns the slot's stick positions, whether a frame is delivered or not.
 pub fn sticks(slot: u32) -> RcFrame {
     const C: u16 = CENTRE_TICKS;
     let t = slot.saturating_sub(FLIGHT);
-    // Once up, the throttle stays above the quarter, so that it never asks to arm or to disarm.
+    // After the start, the throttle stays above a quarter, so that the sticks never command arming or disarming.
     let throttle = (LOW_TICKS + 450).saturating_add_signed(triangle(t, 1_600, 300)) + (t / 10) as u16;
     let channels = match slot {
         ..750 => [LOW_TICKS, C, C, C],
@@ -160,7 +158,7 @@ pub fn sticks(slot: u32) -> RcFrame {
             let stick = |phase: u32, period: u32, sweep: i16| {
                 C.saturating_add_signed(triangle(t + phase, period, sweep))
             };
-            // Yaw rests in its deadband for half of each second, so that the heading loop runs too.
+            // Yaw is in its deadband for half of each second, so that the heading loop runs, too.
             let yaw = if t % 1_000 < 500 { C } else { stick(0, 800, 500) };
             [throttle, stick(0, 1_100, 700), stick(400, 900, 700), yaw]
         }
@@ -168,7 +166,7 @@ pub fn sticks(slot: u32) -> RcFrame {
     RcFrame { channels, arm_switch: LOW_TICKS, mode_switch: LOW_TICKS, status: LinkStatus::Good }
 }
 
-/// A triangle wave from 0 through `peak`, `−peak` and back, `period` slots long (a multiple of 4).
+/// Returns a triangle wave from 0 through `peak`, `−peak` and back to 0, with this period in slots (a multiple of 4).
 fn triangle(t: u32, period: u32, peak: i16) -> i16 {
     let quarter = (period / 4) as i32;
     let phase = (t % period) as i32;
@@ -182,8 +180,8 @@ fn triangle(t: u32, period: u32, peak: i16) -> i16 {
     (i32::from(peak) * saw / quarter) as i16
 }
 
-/// A number in −`size..=size` that depends on slot and channel alone (the finalizer of MurmurHash3, which is
-/// in the public domain).
+/// Returns a number from −`size` to `size` that depends only on slot and channel (the finalizer of MurmurHash3, which is in
+/// the public domain).
 fn jitter(slot: u32, channel: u32, size: i16) -> i16 {
     let mut h = slot.wrapping_mul(16).wrapping_add(channel);
     h = (h ^ (h >> 16)).wrapping_mul(0x85eb_ca6b);

@@ -1,36 +1,36 @@
-//! The f32 kernels of the fast loop.
+//! The f32 functions of the control loop.
 //!
-//! `libm::sinf` computes in f64, which the Cortex-M4F does in software: 1,260 instructions. These kernels
-//! stay in f32 and branch little. Each is the same sequence of additions and multiplications on every
-//! machine, so the host and the board agree to the bit.
+//! `libm::sinf` computes in f64, which the Cortex-M4F does in software: 1,260 instructions. These functions stay in
+//! f32 and have few branches. Each is the same sequence of additions and multiplications on every machine, so that
+//! the host and the board produce the same bits.
 //!
-//! | kernel | domain | largest error against f64 (tested) |
+//! | function | domain | largest error against f64 (tested) |
 //! |---|---|---|
 //! | [`sin_cos`] | ±π (to ±8,192: 1e-6) | 2 ulp |
 //! | [`atan2`], [`direction`], [`elevation`] | all finite | 4e-7 rad |
 //! | [`sqrt`] | all | correctly rounded |
 //! | [`wrap_pi`] | ±1,000 rad | 1 ulp of the argument |
 //!
-//! A NaN comes out as one. Beyond its domain a kernel returns something, and nothing is promised of it but what its
-//! own text says: who calls it keeps within.
+//! A NaN argument gives NaN. The result outside the domain is unspecified, except where the function documents it;
+//! callers stay inside the domain.
 
 use core::f32::consts::{FRAC_PI_2, PI, TAU};
 
-/// 1.5 · 2²³. Adding it to |x| < 2²² leaves no bits below the binary point, so the sum is x rounded to the
-/// nearest integer, which also stands in the low bits of the sum. Three instructions instead of a call.
+/// 1.5 · 2²³. Added to |x| < 2²² it leaves no bits below the binary point: the sum is x rounded to the nearest
+/// integer, which is also in the low bits of the sum. Three instructions instead of a function call.
 const ROUNDER: f32 = 12_582_912.0;
 
-/// Correctly rounded square root; NaN for a negative argument.
+/// Returns the correctly rounded square root; NaN for a negative argument.
 ///
-/// On the Cortex-M4F one `vsqrt.f32` (14 cycles) in place of the 56 instructions of a software root.
+/// On the Cortex-M4F this is one `vsqrt.f32` (14 cycles) instead of the 56 instructions of a software root.
 #[inline(always)]
 pub fn sqrt(x: f32) -> f32 {
     #[cfg(all(target_arch = "arm", target_abi = "eabihf"))]
     {
         let bits: u32;
-        // SAFETY: the hard-float ABI guarantees an FPU. The value travels through a core register, because
-        // operands in `s` registers are rejected on this target; s0 is declared as clobbered; neither
-        // memory, flags nor the stack are touched.
+        // SAFETY: the hard-float ABI guarantees an FPU. The value passes through a core register, because this target
+        // rejects operands in `s` registers. s0 is declared as clobbered; memory, flags and the stack are not
+        // touched.
         unsafe {
             core::arch::asm!(
                 "vmov s0, {0}",
@@ -49,25 +49,25 @@ pub fn sqrt(x: f32) -> f32 {
     }
 }
 
-/// The larger of two numbers; `b` if `a` is NaN.
+/// Returns the larger of two numbers; `b` if `a` is NaN.
 ///
-/// `f32::max` must also look at NaNs in `b`, and calls a function for it on the Cortex-M4F.
+/// `f32::max` must also handle a NaN in `b`, and calls a function for it on the Cortex-M4F.
 #[inline(always)]
 pub fn max(a: f32, b: f32) -> f32 {
     if a > b { a } else { b }
 }
 
-/// The smaller of two numbers; `b` if `a` is NaN.
+/// Returns the smaller of two numbers; `b` if `a` is NaN.
 #[inline(always)]
 pub fn min(a: f32, b: f32) -> f32 {
     if a < b { a } else { b }
 }
 
-/// Sine and cosine of `x` (rad), |x| ≤ 8,192.
+/// Returns the sine and cosine of `x` (rad), |x| ≤ 8,192.
 ///
-/// Reduction to ±π/4 by π/2 in three parts, the first two short enough that their products with the
-/// quadrant number are exact (Cody and Waite, *Software Manual for the Elementary Functions*, 1980); then
-/// the minimax polynomials that Cephes uses for single precision (Moshier, `sinf.c`).
+/// The argument is reduced to ±π/4 by π/2 in three parts. The first two are short enough that their products with the
+/// quadrant number are exact (Cody and Waite, *Software Manual for the Elementary Functions*, 1980). The polynomials
+/// are the minimax polynomials of Cephes for single precision (Moshier, `sinf.c`).
 #[inline]
 pub fn sin_cos(x: f32) -> (f32, f32) {
     // π/2 = HIGH + MIDDLE + LOW to 2.4e-15.
@@ -91,17 +91,17 @@ pub fn sin_cos(x: f32) -> (f32, f32) {
     (f32::from_bits(s.to_bits() ^ sin_sign), f32::from_bits(c.to_bits() ^ cos_sign))
 }
 
-/// Angle of the point (x, y) from the x axis, rad in [−π, π]; `atan2(0, 0)` is 0.
+/// Returns the angle of the point (x, y) from the x axis, rad, in [−π, π]; `atan2(0, 0)` is 0.
 #[inline]
 pub fn atan2(y: f32, x: f32) -> f32 {
     if y == 0.0 {
-        // 0 times x: 0, but for a NaN, which stays one.
+        // 0 times x is 0, or NaN for a NaN.
         return if x < 0.0 { PI } else { 0.0 * x };
     }
     direction(y, x)
 }
 
-/// [`atan2`] of a point that is not (0, 0), where it is NaN. No branch.
+/// Returns [`atan2`] of a point other than (0, 0), for which the result is NaN. No branches.
 #[inline(always)]
 pub fn direction(y: f32, x: f32) -> f32 {
     let angle = first_quadrant(y.abs(), x.abs());
@@ -109,17 +109,17 @@ pub fn direction(y: f32, x: f32) -> f32 {
     if y < 0.0 { -half_plane } else { half_plane }
 }
 
-/// [`atan2`] of a point that is not (0, 0) and not left of the y axis: an angle in [−π/2, π/2].
+/// Returns [`atan2`] of a point other than (0, 0) with x ≥ 0: an angle in [−π/2, π/2].
 #[inline(always)]
 pub fn elevation(y: f32, x: f32) -> f32 {
     let angle = first_quadrant(y.abs(), x);
     if y < 0.0 { -angle } else { angle }
 }
 
-/// The angle of a point with no negative coordinate, and not (0, 0).
+/// Returns the angle of a point other than (0, 0) whose coordinates are not negative.
 ///
-/// The ratio of the smaller to the larger coordinate lies in [0, 1], where atan t = t + t³ Q(t²) with Q a
-/// minimax polynomial (Lawson iteration in f64; 1.6e-7 rad in f32).
+/// The ratio t of the smaller to the larger coordinate is in [0, 1], where atan t = t + t³ Q(t²). Q is a minimax
+/// polynomial (Lawson iteration in f64; error in f32 1.6e-7 rad).
 #[inline(always)]
 fn first_quadrant(y: f32, x: f32) -> f32 {
     let steep = y > x;
@@ -134,11 +134,11 @@ fn first_quadrant(y: f32, x: f32) -> f32 {
     if steep { FRAC_PI_2 - octant } else { octant }
 }
 
-/// `x` (rad, |x| ≤ 1,000) less the whole turns nearest to it: an angle in [−π, π].
+/// Subtracts from `x` (rad, |x| ≤ 1,000) the nearest number of whole turns. Returns an angle in [−π, π].
 #[inline(always)]
 pub fn wrap_pi(x: f32) -> f32 {
     let turns = (x * (1.0 / TAU) + ROUNDER) - ROUNDER;
-    // 2π in two parts, the first exact in products with small integers, so that many turns lose nothing.
+    // 2π in two parts. Products of the first with small integers are exact, so that many turns lose no precision.
     (x - turns * 6.281_25) - turns * 1.935_307_2e-3
 }
 
@@ -150,15 +150,15 @@ mod tests {
 
     proptest! {
         #[test]
-        fn sqrt_is_that_of_the_standard_library(x in ANY) {
+        fn sqrt_equals_the_standard_library(x in ANY) {
             let exact = x.sqrt();
             prop_assert!(sqrt(x).to_bits() == exact.to_bits() || (sqrt(x).is_nan() && exact.is_nan()));
         }
 
         #[test]
-        fn max_and_min_are_those_of_the_standard_library_but_for_nan(a in ANY, b in ANY) {
+        fn max_and_min_equal_std_except_for_nan(a in ANY, b in ANY) {
             if a.is_nan() || b.is_nan() {
-                // Whichever of the two is NaN: what comes out is the second.
+                // If either operand is NaN, the result is the second operand.
                 prop_assert_eq!((max(a, b).to_bits(), min(a, b).to_bits()), (b.to_bits(), b.to_bits()));
             } else {
                 prop_assert_eq!((max(a, b), min(a, b)), (a.max(b), a.min(b)));
@@ -166,7 +166,7 @@ mod tests {
         }
 
         #[test]
-        fn sin_cos_to_the_end_of_its_domain_and_beyond(x in -8192.0_f32..=8192.0, any in ANY) {
+        fn sin_cos_is_accurate_up_to_8192(x in -8192.0_f32..=8192.0, any in ANY) {
             let (s, c) = sin_cos(x);
             prop_assert!((f64::from(s) - f64::from(x).sin()).abs() < 1e-6, "sin {}: {}", x, s);
             prop_assert!((f64::from(c) - f64::from(x).cos()).abs() < 1e-6, "cos {}: {}", x, c);
@@ -174,9 +174,9 @@ mod tests {
             prop_assert!(any.is_finite() || (s.is_nan() && c.is_nan()), "{}: {} {}", any, s, c);
         }
 
-        /// Of any two numbers, in f64 by the standard library. A negative zero is a zero here.
+        /// Any two numbers, against the standard library in f64. A negative zero counts as zero here.
         #[test]
-        fn atan2_of_any_two_numbers(y in ANY, x in ANY) {
+        fn atan2_of_any_two_numbers_is_accurate(y in ANY, x in ANY) {
             let ours = [atan2(y, x), direction(y, x), elevation(y, x.abs())].map(f64::from);
             let (exact_y, exact_x) = (f64::from(y) + 0.0, f64::from(x) + 0.0);
             if y.is_finite() && x.is_finite() {
@@ -191,20 +191,20 @@ mod tests {
         }
 
         #[test]
-        fn the_origin_has_no_direction(
+        fn direction_of_the_origin_is_nan(
             y in prop::sample::select(&[0.0_f32, -0.0][..]), x in prop::sample::select(&[0.0_f32, -0.0][..]),
         ) {
             prop_assert!(atan2(y, x) == 0.0 && direction(y, x).is_nan() && elevation(y, x).is_nan());
         }
 
-        /// By the remainder in f64.
+        /// Against the remainder in f64.
         #[test]
-        fn wrap_pi_takes_off_whole_turns_anywhere_in_its_domain(x in -1000.0_f32..=1000.0, any in ANY) {
+        fn wrap_pi_equals_the_remainder_in_f64(x in -1000.0_f32..=1000.0, any in ANY) {
             let turns = (f64::from(x) / core::f64::consts::TAU).round();
             let exact = f64::from(x) - turns * core::f64::consts::TAU;
             let ulp = f64::from(x.abs().next_up() - x.abs());
             let wrapped = f64::from(wrap_pi(x));
-            // Half a turn has two names.
+            // π and −π are the same angle.
             let off = (wrapped - exact).abs();
             let off = off.min((off - core::f64::consts::TAU).abs());
             prop_assert!(off <= ulp, "{}: {} off", x, off);
@@ -213,7 +213,7 @@ mod tests {
         }
     }
 
-    /// Distance of `y` from `exact` in units of the last place of the f32 nearest to `exact`.
+    /// Returns the distance of `y` from `exact` in units in the last place of the f32 nearest to `exact`.
     fn ulps(y: f32, exact: f64) -> f64 {
         let nearest = exact as f32;
         let spacing = f64::from(f32::from_bits(nearest.abs().to_bits() + 1)) - f64::from(nearest.abs());
@@ -221,8 +221,8 @@ mod tests {
     }
 
     #[test]
-    fn sin_cos_is_within_two_ulp_on_plus_minus_pi() {
-        // Every 997th float of [2⁻²⁰, π]: 180,000 points, dense where floats are.
+    fn sin_cos_is_within_2_ulp_on_plus_minus_pi() {
+        // Every 997th f32 of [2⁻²⁰, π]: 180,000 points, as dense as the f32 numbers.
         let mut worst = 0.0_f64;
         let stride = if cfg!(miri) { 997_997 } else { 997 };
         for bits in ((2.0_f32.powi(-20)).to_bits()..=PI.to_bits()).step_by(stride) {
@@ -236,7 +236,7 @@ mod tests {
     }
 
     #[test]
-    fn sin_cos_at_the_edges() {
+    fn sin_cos_at_the_ends_of_its_domain() {
         assert_eq!(sin_cos(0.0), (0.0, 1.0));
         let (s, c) = sin_cos(PI);
         assert!(ulps(s, f64::from(PI).sin()) <= 2.0 && c == -1.0);
@@ -248,7 +248,7 @@ mod tests {
     }
 
     #[test]
-    fn atan2_is_within_4e_7_rad_all_around() {
+    fn atan2_is_within_4e_7_rad_at_all_angles() {
         let mut worst = 0.0_f64;
         for i in (0..1_000_000).step_by(if cfg!(miri) { 9_973 } else { 1 }) {
             let angle = (f64::from(i) / 1e6 - 0.5) * core::f64::consts::TAU;
@@ -274,7 +274,7 @@ mod tests {
     }
 
     #[test]
-    fn wrap_takes_off_whole_turns() {
+    fn wrap_pi_subtracts_whole_turns() {
         for k in -15_i8..=15 {
             for a in [-3.1, -1.0, 0.0, 0.5, 3.1_f32] {
                 let exact = f64::from(a + f32::from(k) * TAU) - f64::from(k) * core::f64::consts::TAU;
@@ -287,7 +287,7 @@ mod tests {
     }
 
     #[test]
-    fn sqrt_is_exact_on_squares() {
+    fn sqrt_is_exact_for_squares() {
         for i in (0..2048_u16).step_by(if cfg!(miri) { 101 } else { 1 }) {
             assert_eq!(sqrt(f32::from(i) * f32::from(i)), f32::from(i));
         }

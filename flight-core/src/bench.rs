@@ -1,25 +1,26 @@
-//! Turning one motor on the bench: which may, how fast, and for how long.
+//! Bench mode: which motor may turn, how fast, and for how long.
 
 use crate::arithmetic::sqrt;
 use crate::arming::BenchMotor;
 use crate::range::{ConfigError, check};
 use crate::sample::BenchCommand;
 
-/// Age of the last command at which the motor stops, µs.
+/// Age of the last command above which the motor stops, µs.
 pub const BENCH_SILENT_US: u32 = 250_000;
 
-/// Limits of the bench.
+/// Limits of bench mode.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct BenchParams {
-    /// Largest thrust, as a share of the rotor's largest.
+    /// Maximum thrust as a share of the maximum of a rotor, 0 to 0.5.
     pub max_thrust: f32,
-    /// Longest time that commands may go on without a pause, s.
+    /// Maximum time for which commands may continue without a pause, s: 0.1 to 60.
     pub max_s: f32,
 }
 
 impl BenchParams {
-    /// A tenth of the thrust, a fifth of the vehicle's weight with thrust to weight 2; and ten seconds.
+    /// 10 s, and a tenth of the maximum thrust: one rotor of a vehicle with a thrust-to-weight ratio of 2 then lifts
+    /// 5 % of the weight.
     pub const STANDARD: Self = Self { max_thrust: 0.1, max_s: 10.0 };
 
     pub(crate) fn validate(&self) -> Result<(), ConfigError> {
@@ -28,7 +29,7 @@ impl BenchParams {
     }
 }
 
-/// The command in force, and how long commands have gone on.
+/// State of bench mode: the command in force, and the time for which commands have continued.
 #[derive(Clone, Copy, Debug)]
 pub struct Bench {
     params: BenchParams,
@@ -39,18 +40,18 @@ pub struct Bench {
 }
 
 impl Bench {
-    /// Nobody commands.
+    /// Creates the state without a command.
     ///
     /// # Errors
-    /// A limit out of range.
+    /// Returns the limit that is out of range.
     pub fn new(params: &BenchParams) -> Result<Self, ConfigError> {
         params.validate()?;
         let max_us = (params.max_s * 1.0e6) as u32;
         Ok(Self { params: *params, max_us, command: None, age_us: 0, running_us: 0 })
     }
 
-    /// Takes what was commanded in a step that comes `dt_us` after the last. A rotor that does not exist, or a
-    /// thrust that is no share, is no command and no heartbeat.
+    /// Updates the state with the command of a step, if there is one; the step comes `dt_us` (µs) after the last one.
+    /// A command with a rotor outside 1 to 4 or a thrust outside 0 to 1 is ignored, also as a heartbeat.
     #[inline]
     pub fn update(&mut self, command: Option<&BenchCommand>, dt_us: u32) {
         if self.command.is_none() && command.is_none() {
@@ -71,27 +72,28 @@ impl Bench {
         }
     }
 
-    /// Whether a command is in force.
+    /// Returns whether a command is in force.
     #[inline(always)]
     pub fn commanded(&self) -> bool {
         self.command.is_some()
     }
 
-    /// Whether commands have gone on for too long. A pause longer than [`BENCH_SILENT_US`] ends that.
+    /// Returns whether commands have continued for too long. A pause longer than [`BENCH_SILENT_US`] ends this.
     #[inline(always)]
     pub fn expired(&self) -> bool {
         self.running_us > self.max_us
     }
 
-    /// The rotor that is to turn and its speed as a share of the largest, not above the limit (thrust goes with
-    /// the speed's square).
+    /// Returns the index of the commanded rotor (0 to 3) and its speed as a share of the maximum, limited by
+    /// `max_thrust`. Thrust is proportional to the square of the speed.
     pub fn speed(&self) -> Option<(usize, f32)> {
         let command = self.command?;
         let thrust = crate::arithmetic::min(command.thrust, self.params.max_thrust);
         Some((usize::from(command.rotor - 1), sqrt(thrust)))
     }
 
-    /// The permit's share of it: the rotor, and the pulse that it may not exceed.
+    /// Returns the motor for the permit: the commanded rotor and its longest permitted pulse, µs. `pulse_us` converts
+    /// a share of the maximum speed into a pulse.
     pub fn motor(&self, pulse_us: impl Fn(f32) -> f32) -> Option<BenchMotor> {
         let (rotor, _) = self.speed()?;
         Some(BenchMotor { rotor, limit_us: pulse_us(sqrt(self.params.max_thrust)) })
@@ -105,7 +107,7 @@ mod tests {
     use proptest::prelude::*;
 
     #[test]
-    fn limits_outside_their_range_are_refused_by_name() {
+    fn limits_outside_their_range_are_rejected_by_name() {
         let with = |max_thrust, max_s| {
             Bench::new(&BenchParams { max_thrust, max_s }).map(|_| ()).map_err(|error| error.field)
         };
@@ -126,9 +128,10 @@ mod tests {
     }
 
     proptest! {
-        /// From the whole past, told with absolute times: which command is in force, and since when there has been one.
+        /// Computed from the whole history with absolute times: the command in force, and the time since which there
+        /// has been one.
         #[test]
-        fn what_turns_follows_from_the_commands_and_their_times(
+        fn motor_and_expiry_follow_from_the_history(
             max_thrust in 0.0..=0.5_f32,
             past in prop::collection::vec((
                 prop::option::of(command()),
@@ -137,34 +140,34 @@ mod tests {
         ) {
             let mut bench = Bench::new(&BenchParams { max_thrust, max_s: 0.6 }).unwrap();
             let mut now_us = 0_u64;
-            let mut force: Option<(u64, BenchCommand)> = None;
+            let mut in_force: Option<(u64, BenchCommand)> = None;
             let mut since_us = 0;
             for (command, dt_us) in past {
                 now_us += u64::from(dt_us);
                 bench.update(command.as_ref(), dt_us);
                 let valid = command.filter(|c| (1..=4).contains(&c.rotor) && c.thrust >= 0.0 && c.thrust <= 1.0);
                 if let Some(command) = valid {
-                    if force.is_none() {
+                    if in_force.is_none() {
                         since_us = now_us;
                     }
-                    force = Some((now_us, command));
-                } else if force.is_some_and(|(at_us, _)| now_us - at_us > 250_000) {
-                    force = None;
+                    in_force = Some((now_us, command));
+                } else if in_force.is_some_and(|(at_us, _)| now_us - at_us > 250_000) {
+                    in_force = None;
                 }
-                prop_assert_eq!(bench.commanded(), force.is_some());
-                prop_assert_eq!(bench.expired(), force.is_some() && now_us - since_us > 600_000);
+                prop_assert_eq!(bench.commanded(), in_force.is_some());
+                prop_assert_eq!(bench.expired(), in_force.is_some() && now_us - since_us > 600_000);
 
                 let turning = bench.speed();
-                prop_assert_eq!(turning.map(|(rotor, _)| rotor + 1), force.map(|(_, c)| usize::from(c.rotor)));
+                prop_assert_eq!(turning.map(|(rotor, _)| rotor + 1), in_force.map(|(_, c)| usize::from(c.rotor)));
                 let limit = bench.motor(|share| 1_000.0 + 1_000.0 * share);
-                prop_assert_eq!(limit.is_some(), force.is_some());
-                if let (Some((rotor, share)), Some((_, command)), Some(motor)) = (turning, force, limit) {
-                    // Thrust goes with the square of the speed.
+                prop_assert_eq!(limit.is_some(), in_force.is_some());
+                if let (Some((rotor, share)), Some((_, command)), Some(motor)) = (turning, in_force, limit) {
+                    // Thrust is proportional to the square of the speed.
                     let thrust = f64::from(command.thrust).min(f64::from(max_thrust));
                     prop_assert!((f64::from(share).powi(2) - thrust).abs() < 1e-6);
-                    let most = (f64::from(motor.limit_us) - 1_000.0) / 1_000.0;
-                    prop_assert!(motor.rotor == rotor && (most.powi(2) - f64::from(max_thrust)).abs() < 1e-3);
-                    prop_assert!(f64::from(share) <= most + 1e-3);
+                    let max_share = (f64::from(motor.limit_us) - 1_000.0) / 1_000.0;
+                    prop_assert!(motor.rotor == rotor && (max_share.powi(2) - f64::from(max_thrust)).abs() < 1e-3);
+                    prop_assert!(f64::from(share) <= max_share + 1e-3);
                 }
             }
         }

@@ -1,28 +1,30 @@
-//! From converter counts to SI in body axes.
+//! Conversion of sensor counts into SI units in body axes.
 //!
-//! Each sensor's reading is `x = M (S · counts − b)`: S the chip's sensitivity and mounting, b the bias and
-//! M the matrix of scale and misalignment that a calibration found. The two are folded into one matrix and
-//! one offset when the configuration is taken, so that a sample costs nine products and nine sums.
+//! The calibrated reading of each sensor is `x = M (S · counts − b)`. S is the sensitivity and mounting of the chip,
+//! b the bias, and M the matrix of scale and misalignment; b and M come from a calibration. Both are combined into
+//! one matrix and one offset when the configuration is loaded, so that a sample costs nine products and nine sums.
 
 use crate::geometry::{Mat3, Vec3, vec3};
 use crate::range::{ConfigError, check};
 
-/// What a calibration found about one three-axis sensor.
+/// Result of the calibration of one three-axis sensor.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct SensorCalibration {
-    /// Reading at zero input, in the sensor's SI unit (magnetometer: µT), body axes. Subtracted first.
+    /// Reading at zero input, in the SI unit of the sensor (magnetometer: µT), body axes, each axis from −10⁶ to 10⁶.
+    /// Subtracted first.
     pub bias: Vec3<f32>,
-    /// Scale and misalignment, dimensionless, near the unit matrix. Applied second.
+    /// Scale and misalignment, dimensionless, close to the unit matrix. Applied second. Determinant 0.5 to 2, squared
+    /// length of a row at most 4.
     pub matrix: Mat3<f32>,
 }
 
 impl SensorCalibration {
-    /// A perfect sensor.
+    /// Calibration of an ideal sensor: no bias, unit matrix.
     pub const NONE: Self = Self { bias: Vec3::ZERO, matrix: Mat3::IDENTITY };
 }
 
-/// What a calibration found about all sensors.
+/// Result of the calibration of all sensors.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct Calibration {
@@ -35,22 +37,22 @@ pub struct Calibration {
 }
 
 impl Calibration {
-    /// Perfect sensors.
+    /// Calibration of ideal sensors.
     pub const NONE: Self =
         Self { gyro: SensorCalibration::NONE, accel: SensorCalibration::NONE, mag: SensorCalibration::NONE };
 }
 
-/// How a chip's counts become SI in body axes, before any calibration.
+/// Conversion of the counts of a chip into SI units in body axes, before any calibration.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct Sensitivity {
-    /// SI units (magnetometer: µT) per count.
+    /// SI units (magnetometer: µT) per count: above 0, for the gyroscope to 0.3 rad/s, for the others to 1,000.
     pub per_count: f32,
-    /// Rotation from the chip's axes to the body's: a signed permutation on most boards.
+    /// Rotation from the axes of the chip to the body axes: a signed permutation on most boards.
     pub mounting: Mat3<f32>,
 }
 
-/// The folded form `x = matrix · counts − offset`.
+/// The combined form `x = matrix · counts − offset`.
 #[derive(Clone, Copy, Debug)]
 pub struct SensorModel {
     matrix: Mat3<f32>,
@@ -58,34 +60,35 @@ pub struct SensorModel {
 }
 
 impl SensorModel {
-    /// Folds sensitivity, mounting and calibration.
+    /// Combines sensitivity, mounting and calibration. `fields` contains the names of the fields for errors, and the
+    /// largest sensitivity.
     ///
     /// # Errors
-    /// A sensitivity that isn't positive or makes full scale absurd, a mounting that isn't a rotation, a
-    /// calibration matrix that isn't near the unit matrix (a row longer than 2, a determinant outside 0.5 to 2), a
-    /// bias beyond any sensor's range.
+    /// Returns the first value outside its range: a sensitivity that is not above 0 or above its maximum, a mounting
+    /// that is not a rotation, a calibration matrix that is not close to the unit matrix (a row longer than 2, a
+    /// determinant outside 0.5 to 2), or a bias outside ±10⁶.
     pub fn new(
-        name: SensorFields,
+        fields: SensorFields,
         sensitivity: Sensitivity,
         calibration: SensorCalibration,
     ) -> Result<Self, ConfigError> {
-        check(name.per_count, sensitivity.per_count, f32::MIN_POSITIVE, name.max_per_count)?;
-        // A rotation's rows have length 1 and stand across each other; typed-in ones do to a few digits. A mirror
-        // image has them too, but the determinant −1.
+        check(fields.per_count, sensitivity.per_count, f32::MIN_POSITIVE, fields.max_per_count)?;
+        // The rows of a rotation have length 1 and are orthogonal; typed values satisfy this to a few digits. The
+        // rows of a reflection do too, but its determinant is −1.
         let [a, b, c] = sensitivity.mounting.rows;
         for row in [a, b, c] {
-            check(name.mounting_row, row.dot(row), 0.999, 1.001)?;
+            check(fields.mounting_row, row.dot(row), 0.999, 1.001)?;
         }
         for product in [a.dot(b), b.dot(c), c.dot(a)] {
-            check(name.mounting_angle, product, -1.0e-3, 1.0e-3)?;
+            check(fields.mounting_angle, product, -1.0e-3, 1.0e-3)?;
         }
-        check(name.mounting, sensitivity.mounting.determinant(), 0.995, 1.005)?;
+        check(fields.mounting, sensitivity.mounting.determinant(), 0.995, 1.005)?;
         for row in calibration.matrix.rows {
-            check(name.matrix_row, row.dot(row), 0.0, 4.0)?;
+            check(fields.matrix_row, row.dot(row), 0.0, 4.0)?;
         }
-        check(name.matrix, calibration.matrix.determinant(), 0.5, 2.0)?;
+        check(fields.matrix, calibration.matrix.determinant(), 0.5, 2.0)?;
         for axis in <[f32; 3]>::from(calibration.bias) {
-            check(name.bias, axis, -1.0e6, 1.0e6)?;
+            check(fields.bias, axis, -1.0e6, 1.0e6)?;
         }
         Ok(Self {
             matrix: calibration.matrix * sensitivity.mounting * sensitivity.per_count,
@@ -93,7 +96,7 @@ impl SensorModel {
         })
     }
 
-    /// The calibrated reading, SI (magnetometer: µT), body axes.
+    /// Returns the calibrated reading, SI (magnetometer: µT), body axes.
     #[inline(always)]
     pub fn apply(&self, counts: [i16; 3]) -> Vec3<f32> {
         let [x, y, z] = counts;
@@ -101,12 +104,12 @@ impl SensorModel {
     }
 }
 
-/// The names under which a sensor's fields appear in an error.
+/// Names of the fields of a sensor, as errors show them, and its largest sensitivity.
 #[derive(Clone, Copy, Debug)]
 pub struct SensorFields {
     per_count: &'static str,
-    /// Largest sensitivity. Gyroscope: 32,768 counts of 0.3 rad/s turn 10³ rad in the 0.1 s after which a sensor
-    /// counts as lost, as far as the estimator can follow; real ones have 0.001. The others: 10³.
+    /// Largest sensitivity. Gyroscope: 32,768 counts of 0.3 rad/s turn 1,000 rad in the 0.1 s after which the sensor
+    /// counts as lost, which is the limit of the estimator; real gyroscopes have 0.001 rad/s. Other sensors: 1,000.
     max_per_count: f32,
     mounting: &'static str,
     mounting_row: &'static str,
@@ -117,7 +120,7 @@ pub struct SensorFields {
 }
 
 impl SensorFields {
-    /// Gyroscope.
+    /// Fields of the gyroscope.
     pub const GYRO: Self = Self {
         per_count: "gyro.per_count",
         max_per_count: 0.3,
@@ -128,7 +131,7 @@ impl SensorFields {
         matrix_row: "calibration.gyro.matrix (squared length of a row)",
         bias: "calibration.gyro.bias",
     };
-    /// Accelerometer.
+    /// Fields of the accelerometer.
     pub const ACCEL: Self = Self {
         per_count: "accel.per_count",
         max_per_count: 1.0e3,
@@ -139,7 +142,7 @@ impl SensorFields {
         matrix_row: "calibration.accel.matrix (squared length of a row)",
         bias: "calibration.accel.bias",
     };
-    /// Magnetometer.
+    /// Fields of the magnetometer.
     pub const MAG: Self = Self {
         per_count: "mag.per_count",
         max_per_count: 1.0e3,
@@ -180,9 +183,10 @@ mod tests {
     }
 
     proptest! {
-        /// Any mounting and any calibration near the unit matrix: the three steps one after the other, in f64.
+        /// For any mounting and any calibration close to the unit matrix: equal to the three steps in succession, in
+        /// f64.
         #[test]
-        fn a_reading_is_scaled_turned_shifted_and_straightened(
+        fn reading_equals_the_three_steps_in_f64(
             mounting in rotation(), per_count in 1.0e-5..0.3_f32, calibration in calibration(),
             counts in prop::array::uniform3(any::<i16>()),
         ) {
@@ -196,17 +200,17 @@ mod tests {
                 *axis = *axis * f64::from(per_count) - f64::from(bias);
             }
             let expected = times(&calibration.matrix, body);
-            // Rounding goes with the largest of what is added up.
+            // The rounding error is proportional to the largest term of the sum.
             let scale = f64::from(per_count) * 57_000.0 + 100.0;
             for (ours, exact) in <[f32; 3]>::from(model.apply(counts)).into_iter().zip(expected) {
                 prop_assert!((f64::from(ours) - exact).abs() < 1e-6 * scale, "{} {}", ours, exact);
             }
         }
 
-        /// What a file or a link may bring: it is refused by a range that it is outside of, or its readings are finite
-        /// and no longer than the sensor's largest, doubled, and the bias.
+        /// For any numbers from a file or a link: either an error names a range that the number is outside of, or the
+        /// readings are finite and at most twice the full scale of the sensor plus the bias.
         #[test]
-        fn any_numbers_are_refused_or_give_bounded_readings(
+        fn any_model_is_rejected_or_gives_bounded_readings(
             which in 0..3_usize,
             per_count in prop_oneof![2 => 1.0e-4..0.3_f32, 1 => ANY],
             mut mounting in rotation(),
@@ -226,22 +230,22 @@ mod tests {
                 Err(error) => prop_assert!(!(error.value >= error.minimum && error.value <= error.maximum), "{}", error),
                 Ok(model) => {
                     let read = model.apply(counts);
-                    // A row of at most 2, a rotation, 32,768 counts on each of three axes; three biases of 10⁶.
-                    let most = 2.0 * (per_count * 57_000.0 + 1.75e6);
-                    prop_assert!(read.x.abs() <= most && read.y.abs() <= most && read.z.abs() <= most, "{:?}", read);
+                    // Row of length 2 at most, rotation, 32,768 counts on each of three axes; three biases of 10⁶.
+                    let max = 2.0 * (per_count * 57_000.0 + 1.75e6);
+                    prop_assert!(read.x.abs() <= max && read.y.abs() <= max && read.z.abs() <= max, "{:?}", read);
                 }
             }
         }
     }
 
     #[test]
-    fn the_largest_sensitivity_and_the_next() {
-        for (fields, most) in ALL.into_iter().zip([0.3_f32, 1.0e3, 1.0e3]) {
+    fn largest_sensitivity_is_accepted_the_next_rejected() {
+        for (fields, max) in ALL.into_iter().zip([0.3_f32, 1.0e3, 1.0e3]) {
             let with = |per_count| {
                 SensorModel::new(fields, Sensitivity { per_count, ..TURNED }, SensorCalibration::NONE)
             };
-            assert!(with(most).is_ok());
-            for odd in [most.next_up(), 0.0, -0.01, f32::NAN, f32::INFINITY] {
+            assert!(with(max).is_ok());
+            for odd in [max.next_up(), 0.0, -0.01, f32::NAN, f32::INFINITY] {
                 assert_eq!(with(odd).unwrap_err().field, fields.per_count);
             }
         }
@@ -249,25 +253,25 @@ mod tests {
 
     const TURNED: Sensitivity = Sensitivity {
         per_count: 0.01,
-        // The chip's x points right, its y backward: a board mounted 90° clockwise.
+        // x of the chip points right, y backward: a board mounted 90° clockwise.
         mounting: Mat3 { rows: [vec3(0.0, -1.0, 0.0), vec3(1.0, 0.0, 0.0), vec3(0.0, 0.0, 1.0)] },
     };
 
     #[test]
-    fn folded_form_equals_the_three_steps() {
+    fn combined_form_equals_the_three_steps() {
         let calibration = SensorCalibration {
             bias: vec3(0.1, -0.2, 0.3),
             matrix: Mat3::from_rows([[1.01, 0.002, -0.001], [0.0, 0.99, 0.004], [0.003, 0.0, 1.02]]),
         };
         let model = SensorModel::new(SensorFields::GYRO, TURNED, calibration).unwrap();
-        let folded = model.apply([1000, -500, 250]);
+        let combined = model.apply([1000, -500, 250]);
         let body = vec3(5.0, 10.0, 2.5);
         let stepwise = calibration.matrix * (body - calibration.bias);
-        assert!((folded - stepwise).norm() < 1e-5, "{folded:?} {stepwise:?}");
+        assert!((combined - stepwise).norm() < 1e-5, "{combined:?} {stepwise:?}");
     }
 
     #[test]
-    fn refuses_what_is_no_rotation_and_what_is_no_calibration() {
+    fn reflection_and_singular_matrix_are_rejected() {
         let mirror = Sensitivity {
             mounting: Mat3 { rows: [Vec3::X, vec3(0.0, 1.0, 0.0), vec3(0.0, 0.0, -1.0)] },
             ..TURNED

@@ -1,4 +1,4 @@
-//! Everything that can be set, with its defaults and its ranges.
+//! All parameters of the flight controller, with defaults and ranges.
 
 pub use crate::range::ConfigError;
 
@@ -13,70 +13,71 @@ use crate::imu_check::StuckCheck;
 use crate::mixer::Airframe;
 use crate::rc::{ArmBy, ChannelMap};
 
-/// What a [`crate::FlightController`] is built from.
+/// The configuration of a [`crate::FlightController`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct Config {
-    /// What does not change from one vehicle of a type to the next.
+    /// Parameters of the type of vehicle.
     pub params: Params,
-    /// What was measured on this vehicle's own sensors; `None` takes them as their datasheets say.
+    /// Calibration of the sensors of this vehicle. Without one (`None`) the datasheet values apply, and arming is
+    /// refused.
     pub calibration: Option<Calibration>,
 }
 
-/// Rates, sensors, filters, airframe and gains.
+/// Parameters of a type of vehicle: sample rates, sensors, filters, airframe and gains.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct Params {
-    /// Rate of gyroscope and accelerometer, and so of the whole chain, Hz.
+    /// Sample rate of gyroscope and accelerometer, and so of the whole chain, Hz: 10 to 32,000.
     pub imu_rate_hz: f32,
-    /// Rate of the magnetometer, Hz.
+    /// Sample rate of the magnetometer, Hz: 1 to `imu_rate_hz`.
     pub mag_rate_hz: f32,
-    /// Counts of the gyroscope to rad/s.
+    /// Sensitivity and mounting of the gyroscope, rad/s per count.
     pub gyro: Sensitivity,
-    /// Counts of the accelerometer to m/s².
+    /// Sensitivity and mounting of the accelerometer, m/s² per count.
     pub accel: Sensitivity,
-    /// Counts of the magnetometer to µT.
+    /// Sensitivity and mounting of the magnetometer, µT per count.
     pub mag: Sensitivity,
-    /// Cutoff of the Butterworth prefilter on all nine axes, Hz; `None` leaves it out.
+    /// Cutoff of the Butterworth prefilter on all nine axes, Hz. `None`: no prefilter.
     pub prefilter_cutoff_hz: Option<f32>,
-    /// The complementary filter.
+    /// Attitude estimator.
     pub estimator: EstimatorParams,
-    /// The vehicle.
+    /// Rotors, geometry and inertia of the vehicle.
     pub airframe: Airframe,
-    /// Gains and limits.
+    /// Gains and limits of the controller.
     pub control: ControlParams,
-    /// Pulses.
+    /// Pulses of the ESCs.
     pub esc: EscParams,
-    /// The receiver's channels.
+    /// Assignment of the receiver's channels.
     pub channels: ChannelMap,
-    /// How the pilot arms.
+    /// How the pilot arms and disarms.
     pub arm_by: ArmBy,
-    /// What is expected of the inertial sensor's noise.
+    /// Which inertial sensors have enough noise to be checked for being stuck.
     pub stuck_check: StuckCheck,
-    /// Below this voltage a flight may not start, V.
+    /// Minimum battery voltage for arming, V: 0 to 100.
     pub min_arm_voltage_v: f32,
-    /// Below this voltage a flight must end, V.
+    /// Battery voltage below which a flight must end, V: 0 to `min_arm_voltage_v`.
     pub critical_voltage_v: f32,
-    /// When the pilot is gone.
+    /// Descent without a pilot.
     pub descent: DescentParams,
-    /// When a motor is turned on the bench.
+    /// Limits of bench mode.
     pub bench: BenchParams,
 }
 
-/// How to come down without a pilot, or on a battery that is nearly empty.
+/// Parameters of the descent, which lands without a link to the pilot or with a nearly empty battery.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct DescentParams {
-    /// Throttle, 0 to 1: a little less than it takes to hover.
+    /// Throttle, 0 to 1: slightly less than in hover.
     pub throttle: f32,
-    /// After this long without a link the motors stop, s.
+    /// Duration of a descent without a link, after which the motors stop, s: 0.1 to 600.
     pub seconds: f32,
 }
 
 impl DescentParams {
-    /// OS4 hovers at 0.650 kg · 9.807 m/s² / (4 · 3.13e-5 N s² · 319² rad²/s²) = 0.500. At 95 % of that it sinks
-    /// with 5 % of its weight against the air's drag: 0.32 N over 0.25 kg/s is 1.3 m/s. From 38 m that takes
-    /// half a minute.
+    /// OS4 hovers at a throttle of 0.650 kg · 9.807 m/s² / (4 · 3.13e-5 N s² · 319² rad²/s²) = 0.500. At 95 % of
+    /// that, 5 % of the weight acts against the drag: 0.32 N over 0.25 kg/s gives a sink rate of 1.3 m/s. A descent
+    /// from 38 m takes 30 s.
     pub const OS4: Self = Self { throttle: 0.475, seconds: 30.0 };
 }
 
@@ -88,7 +89,7 @@ const ICM_42688_ACCEL_M_S2: f32 = STANDARD_GRAVITY / 2048.0;
 const QMC5883L_MAG_UT: f32 = 100.0 / 3000.0;
 
 impl Default for Params {
-    /// An ICM-42688-P at 1 kHz and a QMC5883L at 100 Hz, mounted along the body's axes, on OS4.
+    /// OS4 with an ICM-42688-P at 1 kHz and a QMC5883L at 100 Hz, both mounted along the body axes.
     fn default() -> Self {
         let along_body = |per_count| Sensitivity { per_count, mounting: Mat3::IDENTITY };
         Self {
@@ -105,7 +106,7 @@ impl Default for Params {
             channels: ChannelMap::AETR,
             arm_by: ArmBy::Sticks,
             stuck_check: StuckCheck { gyro: true, accel: true },
-            // 3 cells at 3.5 V, and at 3.0 V.
+            // 3 cells, at 3.5 V and at 3.0 V each.
             min_arm_voltage_v: 10.5,
             critical_voltage_v: 9.0,
             descent: DescentParams::OS4,
@@ -119,10 +120,10 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_defaults_are_within_their_ranges() {
+    fn defaults_are_valid_and_match_the_datasheets() {
         let config = Config { params: Params::default(), calibration: None };
         assert!(crate::FlightController::new(&config).is_ok());
-        // The datasheets' full scales: 2,000 °/s at 32,800 counts, 16 g at 32,768, 8 G at 24,000.
+        // Full scales of the datasheets: 2,000 °/s at 32,800 counts, 16 g at 32,768, 8 G at 24,000.
         let Params { gyro, accel, mag, .. } = config.params;
         assert!((gyro.per_count * 32_800.0 - 2_000.0_f32.to_radians()).abs() < 1e-5);
         assert!((accel.per_count * 32_768.0 - 16.0 * 9.80665).abs() < 1e-5);

@@ -1,13 +1,13 @@
-//! Angle → rate cascade: from the sticks to torques.
+//! The attitude controller: an angle loop around a rate loop, from stick positions to torques.
 //!
 //! ```text
-//!  sticks ──► down setpoint ──► tilt error ─┐
-//!         ──► heading target ─► yaw error ──┴─► rate setpoint ──► P I D ──► angular acceleration ──► · I = torque
+//!  sticks ──► down setpoint ──► tilt error ────┐
+//!         ──► heading target ─► heading error ─┴─► rate setpoint ──► PID ──► angular acceleration ──► · I = torque
 //! ```
 //!
-//! The outer loop works on the direction of down in body axes, not on Euler angles, so that it has no
-//! singularity and does not mix heading errors into tilt. The inner loop's gains are in angular acceleration
-//! per unit of rate error, and the inertia turns them into torque: the same gains fit a larger vehicle.
+//! The outer loop uses the direction of down in body axes instead of Euler angles, so that it has no singularity and
+//! does not mix heading errors into tilt. The gains of the inner loop are angular acceleration per unit of rate
+//! error; the inertia turns them into torque, so that the same gains fit a larger vehicle.
 
 use crate::arithmetic::{max, min, sin_cos, sqrt, wrap_pi};
 use crate::geometry::{Vec3, vec3};
@@ -19,39 +19,39 @@ use crate::rc::{FlightMode, Gesture, Sticks};
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct ControlParams {
-    /// Tilt at full stick, rad ([`FlightMode::Angle`]).
+    /// Roll or pitch angle at full stick in [`FlightMode::Angle`], rad: 0.01 to 1.4.
     pub max_tilt_rad: f32,
-    /// Roll and pitch rate at full stick, rad/s ([`FlightMode::Rate`]).
+    /// Roll or pitch rate at full stick in [`FlightMode::Rate`], rad/s: 0.01 to 35.
     pub max_stick_rate_rad_s: f32,
-    /// Yaw rate at full stick, rad/s.
+    /// Yaw rate at full stick, rad/s: 0.01 to 35.
     pub max_yaw_rate_rad_s: f32,
-    /// Largest roll and pitch rate that the angle loop asks for, rad/s.
+    /// Largest tilt rate that the angle loop commands, rad/s: 0.01 to 35.
     pub max_tilt_rate_rad_s: f32,
-    /// Angle loop: rate per tilt error, 1/s.
+    /// Angle loop: rate per tilt error, 1/s: 0 to 100.
     pub tilt_p: f32,
-    /// Angle loop: rate per heading error, 1/s.
+    /// Angle loop: rate per heading error, 1/s: 0 to 100.
     pub heading_p: f32,
-    /// Rate loop, per axis: angular acceleration per rate error, 1/s.
+    /// Rate loop, per axis: angular acceleration per rate error, 1/s: 0 to 1,000.
     pub rate_p: Vec3<f32>,
-    /// Rate loop, per axis: angular acceleration per integrated rate error, 1/s².
+    /// Rate loop, per axis: angular acceleration per integrated rate error, 1/s²: 0 to 10,000.
     pub rate_i: Vec3<f32>,
-    /// Rate loop, per axis: angular acceleration per measured angular acceleration, dimensionless.
+    /// Rate loop, per axis: angular acceleration per measured angular acceleration, dimensionless: 0 to 10.
     pub rate_d: Vec3<f32>,
-    /// Largest angular acceleration that the integrator may hold, per axis, rad/s².
+    /// Largest angular acceleration of the integrator, per axis, rad/s²: 0 to 1,000.
     pub max_integral_rad_s2: Vec3<f32>,
-    /// Throttle, 0 to 1, above which the vehicle is taken to have left the ground: a fifth of what it takes to hover.
-    /// Below it, before the first time, the rotors idle: a controller that fights the ground winds up and tips the
-    /// vehicle over.
+    /// Throttle from which the vehicle counts as airborne, 0 to 0.5: by default a fifth of the hover throttle. Before
+    /// the throttle first reaches this value the rotors idle: a controller that works against the ground winds up and
+    /// tips the vehicle over.
     pub begin_throttle: f32,
 }
 
 impl ControlParams {
-    /// For OS4 with 50 ms of motor lag behind a 30 Hz prefilter.
+    /// Gains for OS4 with a motor time constant of 50 ms and a 30 Hz prefilter.
     ///
-    /// Broken at the rotors, the loop is (P + I/s + D s + K (P + I/s)/s) F(s) M(s)/s, with M = 1/(1 + 0.05 s)
-    /// the rotors' lag, F the prefilter (7.5 ms of delay at low frequency) and K the angle loop's gain. D/P of
-    /// 40 ms leads what M lags. At P = 25 /s it crosses over at 20 rad/s with 61° of phase margin, and a 30°
-    /// step overshoots by 3 %.
+    /// With the loop opened at the rotors, the open-loop transfer function is (P + I/s + D s + K (P + I/s)/s) F(s)
+    /// M(s)/s, with M = 1/(1 + 0.05 s) the lag of the rotors, F the prefilter (7.5 ms of delay at low frequency) and
+    /// K the gain of the angle loop. D/P = 40 ms compensates the lag of M. At P = 25 /s the crossover is at 20 rad/s
+    /// with a phase margin of 61°, and a 30° step overshoots by 3 %.
     pub const OS4: Self = Self {
         max_tilt_rad: core::f32::consts::FRAC_PI_4,
         max_stick_rate_rad_s: core::f32::consts::PI,
@@ -88,37 +88,41 @@ impl ControlParams {
     }
 }
 
-/// Stick deflection within which the pilot is taken to hold the heading.
+/// Yaw stick deflection up to which the heading is held.
 const YAW_DEADBAND: f32 = 0.02;
 
-/// What the cascade is to reach.
+/// The setpoint of the cascade.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Setpoint {
-    turn: Turn,
+    rotation: Rotation,
     throttle: f32,
-    /// The throttle is where control begins, or above it.
-    lifts: bool,
+    /// Whether the throttle has reached `begin_throttle`.
+    takes_off: bool,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq)]
-enum Turn {
-    /// To an attitude.
-    To {
-        /// Down in body axes at the wanted tilt.
+enum Rotation {
+    /// Attitude setpoint.
+    Attitude {
+        /// Direction of down in body axes at the commanded tilt, unit vector.
         down: Vec3<f32>,
-        /// Wanted turn about the vertical, rad/s, when the stick is out of its deadband.
+        /// Commanded rate about the vertical, rad/s, if the yaw stick is outside its deadband; otherwise the heading
+        /// is held.
         yaw_rate: Option<f32>,
     },
-    /// At body rates, rad/s.
-    At(Vec3<f32>),
+    /// Setpoint of the body rates, rad/s.
+    Rates(Vec3<f32>),
 }
 
 impl Setpoint {
-    const LEVEL: Self =
-        Self { turn: Turn::To { down: Vec3::Z, yaw_rate: None }, throttle: 0.0, lifts: false };
+    const LEVEL: Self = Self {
+        rotation: Rotation::Attitude { down: Vec3::Z, yaw_rate: None },
+        throttle: 0.0,
+        takes_off: false,
+    };
 }
 
-/// The cascade's state.
+/// The attitude controller: parameters, setpoint, and state of the loops.
 #[derive(Clone, Copy, Debug)]
 pub struct Controller {
     params: ControlParams,
@@ -131,10 +135,10 @@ pub struct Controller {
 }
 
 impl Controller {
-    /// A controller for a vehicle of this inertia.
+    /// Creates a controller for a vehicle with the inertia I_xx, I_yy, I_zz (kg·m²).
     ///
     /// # Errors
-    /// A gain or limit outside its range; an inertia that isn't positive.
+    /// Returns the first gain or limit outside its range, or an inertia outside 10⁻⁹ to 10⁶ kg·m².
     pub fn new(params: &ControlParams, inertia_kg_m2: Vec3<f32>) -> Result<Self, ConfigError> {
         params.validate()?;
         for axis in <[f32; 3]>::from(inertia_kg_m2) {
@@ -151,75 +155,81 @@ impl Controller {
         })
     }
 
-    /// Takes new stick positions: 50 to 150 times a second, so the sines stand here, not in [`Self::step`].
+    /// Sets new stick positions. This happens 50 to 150 times per second, so the sines are computed here and not in
+    /// [`Self::step`].
     pub fn set_sticks(&mut self, sticks: &Sticks, mode: FlightMode) {
         let p = &self.params;
-        // A full yaw stick at low throttle asks to arm or disarm, not to turn.
-        let turns = sticks.yaw.abs() > YAW_DEADBAND && sticks.gesture() == Gesture::None;
-        let yaw_rate = turns.then_some(sticks.yaw * p.max_yaw_rate_rad_s);
-        let turn = match mode {
+        // A full yaw stick at low throttle is a request to arm or disarm, not to turn.
+        let yaw_commanded = sticks.yaw.abs() > YAW_DEADBAND && sticks.gesture() == Gesture::None;
+        let yaw_rate = yaw_commanded.then_some(sticks.yaw * p.max_yaw_rate_rad_s);
+        let rotation = match mode {
             FlightMode::Angle => {
                 let (sin_roll, cos_roll) = sin_cos(sticks.roll * p.max_tilt_rad);
                 let (sin_pitch, cos_pitch) = sin_cos(-sticks.pitch * p.max_tilt_rad);
-                Turn::To { down: vec3(-sin_pitch, sin_roll * cos_pitch, cos_roll * cos_pitch), yaw_rate }
+                Rotation::Attitude {
+                    down: vec3(-sin_pitch, sin_roll * cos_pitch, cos_roll * cos_pitch),
+                    yaw_rate,
+                }
             }
-            FlightMode::Rate => Turn::At(vec3(
+            FlightMode::Rate => Rotation::Rates(vec3(
                 sticks.roll * p.max_stick_rate_rad_s,
                 -sticks.pitch * p.max_stick_rate_rad_s,
                 yaw_rate.unwrap_or(0.0),
             )),
         };
-        self.setpoint = Setpoint { turn, ..self.level_at(sticks.throttle) };
+        self.setpoint = Setpoint { rotation, ..self.level_at(sticks.throttle) };
     }
 
-    /// Level, heading held, at this throttle (0 to 1), whatever the sticks last said.
+    /// Sets the setpoint to level, held heading and this throttle (0 to 1), independent of the sticks.
     pub fn set_level(&mut self, throttle: f32) {
         self.setpoint = self.level_at(throttle);
     }
 
     fn level_at(&self, throttle: f32) -> Setpoint {
-        // As a comparison that is false for a throttle that is no number: it lifted off, and control stays.
+        // The comparison is false for a NaN throttle: the controller then stays active.
         let below = throttle < self.params.begin_throttle;
-        Setpoint { throttle, lifts: !below, ..Setpoint::LEVEL }
+        Setpoint { throttle, takes_off: !below, ..Setpoint::LEVEL }
     }
 
-    /// The last throttle position, 0 to 1.
+    /// Returns the throttle of the setpoint, 0 to 1.
     #[inline(always)]
     pub fn throttle(&self) -> f32 {
         self.setpoint.throttle
     }
 
-    /// Whether the vehicle is to be at a tilt: in angle mode, once it has taken off.
+    /// Returns whether the controller holds a tilt: in angle mode, after take-off.
     #[inline(always)]
     pub fn holds_tilt(&self) -> bool {
-        self.flying && matches!(self.setpoint.turn, Turn::To { .. })
+        self.flying && matches!(self.setpoint.rotation, Rotation::Attitude { .. })
     }
 
-    /// Forgets what was wound up: for every step in which the motors are stopped.
-    pub fn rest(&mut self, rates: Vec3<f32>, heading: f32) {
+    /// Resets the integrator, the derivative and the heading target to the present rates (rad/s) and heading (rad).
+    /// Call it in every step in which the motors are stopped.
+    pub fn reset(&mut self, rates: Vec3<f32>, heading: f32) {
         self.integral = Vec3::ZERO;
         self.last_rates = rates;
         self.heading_target = heading;
         self.flying = false;
     }
 
-    /// One step: the torque (N·m, body axes) that brings the vehicle to the setpoint.
+    /// Runs one step. Returns the torque about the body axes x, y, z, N·m, that moves the vehicle towards the
+    /// setpoint.
     ///
-    /// `down` is the estimated down direction in body axes, `heading` the estimated heading (rad), `rates`
-    /// the body rates (rad/s), and `cut` what the mixer could not do in the last step: there the integrator
-    /// holds rather than winds up.
+    /// `down` is the estimated direction of down in body axes (unit vector), `heading` the estimated heading (rad),
+    /// `rates` the body rates (rad/s), `saturation` what the mixer reduced in the last step, and `dt_s` the time
+    /// since the last step (s). The integrator of a saturated axis is frozen, to prevent windup.
     #[inline]
     pub fn step(
         &mut self,
         down: Vec3<f32>,
         heading: f32,
         rates: Vec3<f32>,
-        cut: Saturation,
+        saturation: Saturation,
         dt_s: f32,
     ) -> Vec3<f32> {
         if !self.flying {
-            if !self.setpoint.lifts {
-                self.rest(rates, heading);
+            if !self.setpoint.takes_off {
+                self.reset(rates, heading);
                 return Vec3::ZERO;
             }
             self.flying = true;
@@ -230,39 +240,39 @@ impl Controller {
         let slope = (rates - self.last_rates) * if dt_s > 0.0 { 1.0 / dt_s } else { 0.0 };
         self.last_rates = rates;
 
-        let free = vec3(
-            if cut.roll_pitch { 0.0 } else { dt_s },
-            if cut.roll_pitch { 0.0 } else { dt_s },
-            if cut.yaw { 0.0 } else { dt_s },
+        let integration_s = vec3(
+            if saturation.roll_pitch { 0.0 } else { dt_s },
+            if saturation.roll_pitch { 0.0 } else { dt_s },
+            if saturation.yaw { 0.0 } else { dt_s },
         );
-        let wound = self.integral + p.rate_i.scale_by(error).scale_by(free);
-        self.integral = limit(wound, p.max_integral_rad_s2);
+        let integral = self.integral + p.rate_i.scale_by(error).scale_by(integration_s);
+        self.integral = limit(integral, p.max_integral_rad_s2);
 
         let acceleration = p.rate_p.scale_by(error) + self.integral - p.rate_d.scale_by(slope);
         acceleration.scale_by(self.inertia_kg_m2)
     }
 
-    /// The body rates (rad/s) that the sticks ask for, directly or through the angle loop.
+    /// Returns the commanded body rates, rad/s: from the sticks directly, or from the angle loop.
     #[inline(always)]
     fn rate_setpoint(&mut self, down: Vec3<f32>, heading: f32) -> Vec3<f32> {
         let p = &self.params;
-        let (wanted, yaw_rate) = match self.setpoint.turn {
-            Turn::To { down, yaw_rate } => (down, yaw_rate),
-            Turn::At(rates) => {
-                // Back in angle mode, the heading of that moment is held.
+        let (wanted, yaw_rate) = match self.setpoint.rotation {
+            Rotation::Attitude { down, yaw_rate } => (down, yaw_rate),
+            Rotation::Rates(rates) => {
+                // After a change back to angle mode the present heading is held.
                 self.heading_target = heading;
                 return rates;
             }
         };
-        // Turning the body at ω moves down in body axes at −ω × down, so ω ∝ wanted × down closes the angle
-        // a between them. |wanted × down| is sin a; over (1 + cos a)/2 it is 2 tan(a/2): a for small angles,
-        // and still rising where sin a falls.
+        // A body rate ω moves the direction of down in body axes at −ω × down, so ω ∝ wanted × down reduces the angle
+        // a between them. |wanted × down| is sin a; divided by (1 + cos a)/2 it is 2 tan(a/2). This is a for small
+        // angles and still rises where sin a falls.
         let axis = wanted.cross(down);
         let one_plus_cos = 1.0 + wanted.dot(down);
         let error = if one_plus_cos > 1.0e-3 {
             axis * (2.0 / one_plus_cos)
         } else {
-            // Upside down: every level axis is as good; roll has the most authority.
+            // Upside down every horizontal axis is equivalent; roll has the most authority.
             vec3(core::f32::consts::PI, 0.0, 0.0)
         };
         let mut tilt_rate = error * p.tilt_p;
@@ -280,7 +290,7 @@ impl Controller {
                 p.max_yaw_rate_rad_s,
             ),
         };
-        // A turn about the vertical, in body axes.
+        // The rotation about the vertical, in body axes.
         tilt_rate + down * yaw_rate
     }
 }

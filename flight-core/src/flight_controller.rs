@@ -1,4 +1,4 @@
-//! The whole chain, joined: one call for each sample of the inertial sensor.
+//! The complete control chain. Each call of [`FlightController::step`] processes one sample of the inertial sensor.
 
 use crate::arithmetic::min;
 use crate::arming::table::Conditions;
@@ -20,14 +20,14 @@ use crate::rc::{ArmBy, FlightMode, Gesture, Link, Requests, Sticks};
 use crate::sample::{ImuSample, Input, Output, RcFrame};
 use crate::tilt_limit::TiltLimit;
 
-/// Age of the last valid inertial sample at which the sensor counts as lost, µs.
+/// Age of the last valid inertial sample above which the sensor counts as lost, µs.
 pub const IMU_LOST_US: u32 = 100_000;
-/// How long a missed deadline of the board's tasks stands against arming, µs.
+/// Time for which a missed deadline of the tasks prevents arming, µs.
 const OVERLOAD_US: u32 = 1_000_000;
-/// cos 25°: further from level than this, arming is refused.
+/// cos 25°. Arming is refused at a larger tilt.
 const ARM_COS_TILT: f32 = 0.906_308;
 
-/// The flight controller. It holds no clock: all time comes in with [`Input::time_us`].
+/// The flight controller. It reads no clock: all time comes from [`Input::time_us`].
 #[derive(Clone, Debug)]
 pub struct FlightController {
     gyro_model: SensorModel,
@@ -47,34 +47,34 @@ pub struct FlightController {
     arm_by: ArmBy,
     imu_check: ImuCheck,
     battery: BatteryMonitor,
-    upset: TiltLimit,
+    tilt_limit: TiltLimit,
     bench: Bench,
     calibrated: bool,
     descent_throttle: f32,
 
-    /// Prefiltered body rates less the bias, learnt at rest and by the estimator, rad/s.
+    /// Body rates after the prefilter, minus the bias learnt at rest and the bias learnt by the estimator, rad/s.
     rates: Vec3<f32>,
-    /// A frame whose sticks are taken in the next step.
-    waiting: Option<RcFrame>,
-    /// The pilot's last sticks, and what else the last frame said.
+    /// A frame whose sticks are applied in the next step.
+    pending_frame: Option<RcFrame>,
+    /// Sticks, gesture and arm switch (ticks) of the last frame.
     sticks: Sticks,
     gesture: Gesture,
     arm_switch: u16,
     saturation: Saturation,
     pulses_us: [f32; 4],
     time_us: Option<u64>,
-    /// Time since the last valid inertial sample; the largest number before the first.
+    /// Time since the last valid inertial sample, µs; `u32::MAX` before the first one.
     imu_age_us: u32,
-    /// Deadlines that had been missed up to the last step, and the time since the last one.
+    /// Number of missed deadlines at the last step, and time since that number last changed, µs.
     missed_deadlines: u32,
     missed_age_us: u32,
 }
 
 impl FlightController {
-    /// A disarmed flight controller.
+    /// Creates a disarmed flight controller.
     ///
     /// # Errors
-    /// The first parameter found outside its range.
+    /// Returns the first parameter found outside its range, with its value and the range.
     pub fn new(config: &Config) -> Result<Self, ConfigError> {
         let p = &config.params;
         let calibration = config.calibration.unwrap_or(Calibration::NONE);
@@ -108,12 +108,12 @@ impl FlightController {
             arm_by: p.arm_by,
             imu_check: ImuCheck::new(p.stuck_check, p.imu_rate_hz),
             battery: BatteryMonitor::new(p.min_arm_voltage_v, p.critical_voltage_v),
-            upset: TiltLimit::new(p.control.max_tilt_rad),
+            tilt_limit: TiltLimit::new(p.control.max_tilt_rad),
             bench: Bench::new(&p.bench)?,
             calibrated: config.calibration.is_some(),
             descent_throttle: p.descent.throttle,
             rates: Vec3::ZERO,
-            waiting: None,
+            pending_frame: None,
             sticks: Sticks::default(),
             gesture: Gesture::None,
             arm_switch: SWITCH_OFF_TICKS,
@@ -126,53 +126,56 @@ impl FlightController {
         })
     }
 
-    /// One step of the chain: takes what arrived, returns what the motors are to do.
+    /// Runs one step of the chain: processes the new inputs and returns the motor commands.
     ///
-    /// Call it once per inertial sample, and when a sample fails to come: a missing sensor stops nothing
-    /// here, it ages, and until the next one the pulses stay as they are. A step whose time is not after the last
-    /// one's repeats the last output; if it is before that by more than [`IMU_LOST_US`], the clock was set back,
-    /// and time goes on from there.
+    /// Call it once per inertial sample, and also when a sample is overdue. A missing sample does not stop the flight
+    /// controller: the age of the last sample grows, and the pulses stay as they are until the next sample.
     ///
-    /// The output is finite and in range, whatever comes in: see [the crate's description](crate#any-input).
+    /// A step whose time is not later than that of the last step returns the last output again, without an event. If
+    /// its time is earlier by more than [`IMU_LOST_US`], the clock was set back: the next step is measured from the
+    /// new time.
+    ///
+    /// The output is finite and in range for any input: see [the crate documentation](crate#invalid-input).
     #[inline]
     pub fn step(&mut self, input: &Input) -> Output {
         let (first, dt_us) = match self.time_us {
             Some(last) if input.time_us <= last => {
-                // A few microseconds are two tasks' reading of one clock. A clock that was set back would otherwise
-                // hold the motors at their last pulses until it catches up.
+                // A difference of a few microseconds occurs when two tasks read one clock. If the clock was set back,
+                // waiting for it to catch up would hold the motors at their last pulses.
                 if last - input.time_us > u64::from(IMU_LOST_US) {
                     self.time_us = Some(input.time_us);
                 }
                 return self.output(None);
             }
-            // After more than a second everything is lost anyway.
+            // A longer time makes no difference: the inertial sensor and the link are lost after less than one
+            // second.
             Some(last) => (false, (input.time_us - last).min(1_000_000) as u32),
             None => (true, 0),
         };
         self.time_us = Some(input.time_us);
 
-        self.listen(input, dt_us);
-        self.watch(input, dt_us);
+        self.update_pilot(input, dt_us);
+        self.update_monitors(input, dt_us);
         let fresh_s = self.estimate(input, dt_us);
         let event = self.arming.update(self.conditions(input, first), dt_us);
         if let Some(Event { to: ArmState::Descent, cause: Cause::RcLost, .. }) = event {
-            // Whatever the sticks last said.
-            self.waiting = None;
+            // Discards the last sticks.
+            self.pending_frame = None;
             self.controller.set_level(self.descent_throttle);
         }
         match self.arming.state() {
-            // Between samples nothing is known that the last one has not answered. And their time is the
-            // controller's: over the microseconds from a step without a sample to the late sample, a change of
-            // rate would look like a blow.
+            // Between samples the controller has no new information. The time of such a step belongs to the next
+            // sample: a rate divided by the few microseconds between a step without a sample and the late sample
+            // would look like a shock.
             ArmState::Armed | ArmState::Descent => {
                 let tilt = self.controller.holds_tilt().then(|| self.estimator.down().z);
-                self.upset.update(tilt, dt_us);
+                self.tilt_limit.update(tilt, dt_us);
                 if let Some(dt_s) = fresh_s {
                     self.control(dt_s);
                 }
             }
             ArmState::Bench => {
-                self.rest();
+                self.stop_motors();
                 if let Some((rotor, share)) = self.bench.speed() {
                     for (index, pulse_us) in self.pulses_us.iter_mut().enumerate() {
                         if index == rotor {
@@ -181,42 +184,42 @@ impl FlightController {
                     }
                 }
             }
-            _ => self.rest(),
+            _ => self.stop_motors(),
         }
         self.output(event)
     }
 
-    /// The pilot.
+    /// Updates the link, the sticks and the requests of the pilot.
     #[inline(always)]
-    fn listen(&mut self, input: &Input, dt_us: u32) {
-        let fresh = self.link.take(input.rc.as_ref(), dt_us);
-        // A step with the magnetometer is long enough: the sticks wait for the next one, once.
-        let waits = input.mag.is_some() && self.waiting.is_none();
-        let due = self.waiting.take();
+    fn update_pilot(&mut self, input: &Input, dt_us: u32) {
+        let fresh = self.link.update(input.rc.as_ref(), dt_us);
+        // A step with a magnetometer sample is already long: the sticks wait until the next step, once.
+        let defer = input.mag.is_some() && self.pending_frame.is_none();
+        let due = self.pending_frame.take();
         match fresh {
-            Some(frame) if waits => self.waiting = Some(*frame),
-            Some(frame) => self.take_sticks(frame),
+            Some(frame) if defer => self.pending_frame = Some(*frame),
+            Some(frame) => self.apply_sticks(frame),
             None => {
                 if let Some(frame) = due {
-                    self.take_sticks(&frame);
+                    self.apply_sticks(&frame);
                 }
             }
         }
         self.requests.update(self.arm_by, self.gesture, self.arm_switch, self.link.lost(), dt_us);
     }
 
-    fn take_sticks(&mut self, frame: &RcFrame) {
+    fn apply_sticks(&mut self, frame: &RcFrame) {
         self.sticks = Sticks::from_frame(frame);
         self.gesture = self.sticks.gesture();
         self.arm_switch = frame.arm_switch;
-        let descends = self.arming.state() == ArmState::Descent;
-        let mode = if descends { FlightMode::Angle } else { FlightMode::from_frame(frame) };
+        let in_descent = self.arming.state() == ArmState::Descent;
+        let mode = if in_descent { FlightMode::Angle } else { FlightMode::from_frame(frame) };
         self.controller.set_sticks(&self.sticks, mode);
     }
 
-    /// Supply, bench and board.
+    /// Updates the monitors of battery, bench commands and missed deadlines.
     #[inline(always)]
-    fn watch(&mut self, input: &Input, dt_us: u32) {
+    fn update_monitors(&mut self, input: &Input, dt_us: u32) {
         self.battery.update(input.battery, self.arming.state().flies(), dt_us);
         self.bench.update(input.bench.as_ref(), dt_us);
         self.missed_age_us = self.missed_age_us.saturating_add(dt_us);
@@ -226,38 +229,38 @@ impl FlightController {
         }
     }
 
-    /// Calibration, prefilter, gyro zero and estimator, for the sensors that brought something. Returns the time,
-    /// s, that a new inertial sample covers; none after a gap.
+    /// Runs calibration, prefilter, gyro zero and estimator on the sensors that have new samples. Returns the time
+    /// that a new inertial sample covers, s: 0 after a gap, and `None` without a new sample.
     #[inline(always)]
     fn estimate(&mut self, input: &Input, dt_us: u32) -> Option<f32> {
         self.imu_age_us = self.imu_age_us.saturating_add(dt_us);
         let imu: Option<&ImuSample> = input.imu.as_ref().filter(|sample| ImuCheck::is_valid(sample));
         let gap = self.imu_age_us > IMU_LOST_US;
         if gap && imu.is_some() {
-            // What was known of the attitude is too old, or there has been nothing yet: begin again.
+            // The attitude is too old, or there has been no sample yet: the estimation starts again.
             self.restart_estimation();
         }
         let mag = input.mag.map(|sample| self.mag_prefilter.step(self.mag_model.apply(sample.counts)));
-        // A field that comes without an inertial sample has gone through its prefilter and is not missed.
+        // A magnetometer sample without an inertial sample passes its prefilter; the estimator does not need it.
         let sample = imu?;
-        self.imu_check.take(sample);
-        // The estimator's dt is the time since its last sample, not since the last step.
+        self.imu_check.update(sample);
+        // The time step of the estimator is the time since its last sample, not since the last step.
         let dt_s = if gap { 0.0 } else { self.imu_age_us as f32 * 1.0e-6 };
         self.imu_age_us = 0;
 
-        let read = (self.gyro_model.apply(sample.gyro), self.accel_model.apply(sample.accel));
-        let gyro = self.gyro_prefilter.step(read.0);
-        let accel = self.accel_prefilter.step(read.1);
+        let calibrated = (self.gyro_model.apply(sample.gyro), self.accel_model.apply(sample.accel));
+        let gyro = self.gyro_prefilter.step(calibrated.0);
+        let accel = self.accel_prefilter.step(calibrated.1);
         if !self.arming.state().flies() {
             self.gyro_zero.learn(gyro, accel, dt_s);
             if self.zeroed_and_still() {
-                self.estimator.gyro_zeroed();
+                self.estimator.on_gyro_zeroed();
             }
         }
         let zero = self.gyro_zero.bias();
         self.rates = gyro - zero;
-        if self.estimator.is_a_low_pass() {
-            self.estimator.update(read.0 - zero, read.1, mag, dt_s);
+        if self.estimator.is_low_pass() {
+            self.estimator.update(calibrated.0 - zero, calibrated.1, mag, dt_s);
             self.rates = self.rates - self.estimator.gyro_bias();
         } else {
             self.estimator.update(self.rates, accel, mag, dt_s);
@@ -265,7 +268,7 @@ impl FlightController {
         Some(dt_s)
     }
 
-    /// After a gap in the samples the filters' pasts are no longer theirs.
+    /// Resets all filters after a gap in the samples: their states belong to the time before the gap.
     #[cold]
     fn restart_estimation(&mut self) {
         self.gyro_prefilter.restart();
@@ -274,7 +277,7 @@ impl FlightController {
         self.gyro_zero.interrupt();
         self.estimator.restart();
         if self.arming.state().flies() {
-            self.estimator.gyro_zeroed();
+            self.estimator.on_gyro_zeroed();
         }
     }
 
@@ -294,13 +297,13 @@ impl FlightController {
             (Conditions::IMU_STUCK, self.imu_check.stuck()),
             (Conditions::BATTERY_CRITICAL, self.battery.critical()),
             (Conditions::BENCH_LOCK, health.usb),
-            (Conditions::TILT_LIMIT, self.upset.exceeded()),
+            (Conditions::TILT_LIMIT, self.tilt_limit.exceeded()),
         ];
         if self.arming.state().flies() {
-            // The other conditions stand in no row of a flight: `Conditions::IN_FLIGHT`.
+            // The other conditions appear in no row of these states: `Conditions::IN_FLIGHT`.
             return Conditions::of(always);
         }
-        // A tilt that is not a number is not level.
+        // If the tilt is NaN, the vehicle does not count as level.
         let level = self.estimator.down().z >= ARM_COS_TILT;
         let on_the_ground = [
             (Conditions::NOT_STILL, !self.zeroed_and_still()),
@@ -316,16 +319,16 @@ impl FlightController {
         Conditions::of(always) | Conditions::of(on_the_ground)
     }
 
-    /// No motor turns, and nothing is wound up.
+    /// Sets the stop pulses and resets controller, saturation and tilt limit.
     #[inline(always)]
-    fn rest(&mut self) {
+    fn stop_motors(&mut self) {
         self.saturation = Saturation::default();
-        self.upset.update(None, 0);
-        self.controller.rest(self.rates, self.estimator.heading());
+        self.tilt_limit.update(None, 0);
+        self.controller.reset(self.rates, self.estimator.heading());
         self.pulses_us = [self.esc.stop_us(); 4];
     }
 
-    /// Controller, mixer and ESC map.
+    /// Runs controller, mixer and ESC map.
     #[inline(always)]
     fn control(&mut self, dt_s: f32) {
         let torque_n_m = self.controller.step(
@@ -335,9 +338,9 @@ impl FlightController {
             self.saturation,
             dt_s,
         );
-        let descends = self.arming.state() == ArmState::Descent;
-        let most = if descends { self.descent_throttle } else { 1.0 };
-        let thrust_n = min(self.controller.throttle(), most) * self.mixer.max_thrust_n();
+        let in_descent = self.arming.state() == ArmState::Descent;
+        let max_throttle = if in_descent { self.descent_throttle } else { 1.0 };
+        let thrust_n = min(self.controller.throttle(), max_throttle) * self.mixer.max_thrust_n();
         let (squares, saturation) = self.mixer.mix(&Wrench { thrust_n, torque_n_m });
         self.saturation = saturation;
         self.pulses_us = Mixer::speeds(squares).map(|speed| self.esc.pulse_us(speed));
@@ -353,27 +356,28 @@ impl FlightController {
         }
     }
 
-    /// Whether the motors may turn.
+    /// Returns the arm state.
     pub fn state(&self) -> ArmState {
         self.arming.state()
     }
 
-    /// The estimated attitude, body to world.
+    /// Returns the estimated attitude as a unit quaternion, body to world.
     pub fn attitude(&self) -> Quaternion<f32> {
         self.estimator.attitude()
     }
 
-    /// Body rates after prefilter, gyro zero and the estimator's bias, rad/s.
+    /// Returns the body rates about x, y, z, rad/s: after the prefilter, minus gyro zero and the estimator's bias.
     pub fn rates_rad_s(&self) -> Vec3<f32> {
         self.rates
     }
 
-    /// The gyroscope's bias as learnt at rest, and what the estimator has found since, rad/s.
+    /// Returns the bias of the gyroscope, rad/s, body axes: the bias learnt at rest plus the bias learnt by the
+    /// estimator.
     pub fn gyro_bias_rad_s(&self) -> Vec3<f32> {
         self.gyro_zero.bias() + self.estimator.gyro_bias()
     }
 }
 
 #[cfg(all(test, not(miri)))]
-// each arms a vehicle first, thousands of steps; Miri flies with `tests/any_input`
+// each test first arms a vehicle, which takes thousands of steps; Miri runs `tests/any_input` instead
 mod tests;

@@ -1,12 +1,12 @@
-//! Three-vectors, 3×3 matrices and quaternions, generic over f32 (what flies) and f64 (the simulated truth).
+//! Vectors, 3×3 matrices and quaternions, generic over f32 (flight code) and f64 (simulated truth).
 //!
-//! Written out here rather than taken from a linear algebra crate because every operation must be evaluated
-//! in one fixed order, without SIMD, fused multiply-add or a host's maths library: the digests of a flight
-//! are compared to the bit between the board and the host.
+//! This module replaces a linear algebra crate, because every operation must be evaluated in one fixed order, without
+//! SIMD, fused multiply-add or the mathematics library of a host: the digests of a flight on the board and on the
+//! host must be equal bit for bit.
 
 use core::ops::{Add, AddAssign, Div, Index, Mul, Neg, Sub};
 
-/// The two float types that the geometry is used with.
+/// The scalar types of the geometry: f32 and f64.
 pub trait Scalar:
     Copy
     + PartialEq
@@ -18,13 +18,13 @@ pub trait Scalar:
     + Neg<Output = Self>
     + AddAssign
 {
-    /// 0
+    /// 0.
     const ZERO: Self;
-    /// 1
+    /// 1.
     const ONE: Self;
-    /// 2
+    /// 2.
     const TWO: Self;
-    /// Correctly rounded square root.
+    /// Returns the correctly rounded square root.
     fn sqrt(self) -> Self;
 }
 
@@ -48,51 +48,51 @@ impl Scalar for f64 {
     }
 }
 
-/// A vector in the body's or the world's axes; which one, and the unit, is said where it is used.
+/// A vector in body or world axes. The place of use states the axes and the unit.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct Vec3<T> {
-    /// Forward, or north.
+    /// Component forward (body) or north (world).
     pub x: T,
-    /// Right, or east.
+    /// Component to the right (body) or east (world).
     pub y: T,
-    /// Down.
+    /// Component down.
     pub z: T,
 }
 
-/// Shorthand for a [`Vec3`].
+/// Creates a [`Vec3`].
 #[inline(always)]
 pub const fn vec3<T>(x: T, y: T, z: T) -> Vec3<T> {
     Vec3 { x, y, z }
 }
 
 impl<T: Scalar> Vec3<T> {
-    /// (0, 0, 0)
+    /// The zero vector.
     pub const ZERO: Self = vec3(T::ZERO, T::ZERO, T::ZERO);
-    /// (1, 0, 0)
+    /// The unit vector (1, 0, 0).
     pub const X: Self = vec3(T::ONE, T::ZERO, T::ZERO);
-    /// (0, 0, 1): down.
+    /// The unit vector (0, 0, 1): down.
     pub const Z: Self = vec3(T::ZERO, T::ZERO, T::ONE);
 
-    /// Scalar product.
+    /// Returns the scalar product with `o`.
     #[inline(always)]
     pub fn dot(self, o: Self) -> T {
         self.x * o.x + self.y * o.y + self.z * o.z
     }
 
-    /// Vector product.
+    /// Returns the vector product with `o`.
     #[inline(always)]
     pub fn cross(self, o: Self) -> Self {
         vec3(self.y * o.z - self.z * o.y, self.z * o.x - self.x * o.z, self.x * o.y - self.y * o.x)
     }
 
-    /// Length.
+    /// Returns the length.
     #[inline(always)]
     pub fn norm(self) -> T {
         self.dot(self).sqrt()
     }
 
-    /// Products of the components, for per-axis gains.
+    /// Returns the product of each component with that of `o`, for gains per axis.
     #[inline(always)]
     pub fn scale_by(self, o: Self) -> Self {
         vec3(self.x * o.x, self.y * o.y, self.z * o.z)
@@ -152,11 +152,11 @@ impl<T: Scalar> Mul<T> for Vec3<T> {
     }
 }
 
-/// A 3×3 matrix, by rows.
+/// A 3×3 matrix, stored as rows.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct Mat3<T> {
-    /// First, second and third row.
+    /// The three rows.
     pub rows: [Vec3<T>; 3],
 }
 
@@ -164,19 +164,19 @@ impl<T: Scalar> Mat3<T> {
     /// The unit matrix.
     pub const IDENTITY: Self = Self { rows: [Vec3::X, vec3(T::ZERO, T::ONE, T::ZERO), Vec3::Z] };
 
-    /// From rows of plain arrays.
+    /// Creates a matrix from rows.
     pub fn from_rows(rows: [[T; 3]; 3]) -> Self {
         Self { rows: rows.map(Vec3::from) }
     }
 
-    /// The transpose: for a rotation, its inverse.
+    /// Returns the transpose, which is the inverse of a rotation.
     #[inline]
     pub fn transpose(self) -> Self {
         let [a, b, c] = self.rows;
         Self { rows: [vec3(a.x, b.x, c.x), vec3(a.y, b.y, c.y), vec3(a.z, b.z, c.z)] }
     }
 
-    /// Determinant.
+    /// Returns the determinant.
     pub fn determinant(self) -> T {
         let [a, b, c] = self.rows;
         a.dot(b.cross(c))
@@ -213,7 +213,7 @@ impl<T> Index<usize> for Mat3<T> {
     }
 }
 
-/// Attitude as a Hamilton quaternion, scalar first, taking body vectors to the world.
+/// Attitude as a Hamilton quaternion, scalar first, that rotates body vectors into world axes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Quaternion<T> {
     /// Scalar part.
@@ -223,47 +223,48 @@ pub struct Quaternion<T> {
 }
 
 impl<T: Scalar> Quaternion<T> {
-    /// Body axes along the world's.
+    /// No rotation: the body axes are parallel to the world axes.
     pub const IDENTITY: Self = Self { w: T::ONE, v: Vec3::ZERO };
 
-    /// From (w, x, y, z).
+    /// Creates a quaternion from its components.
     #[inline(always)]
     pub const fn new(w: T, x: T, y: T, z: T) -> Self {
         Self { w, v: vec3(x, y, z) }
     }
 
-    /// (w, x, y, z)
+    /// Returns the components (w, x, y, z).
     #[inline(always)]
     pub fn to_array(self) -> [T; 4] {
         [self.w, self.v.x, self.v.y, self.v.z]
     }
 
-    /// The opposite rotation.
+    /// Returns the conjugate: the inverse rotation of a unit quaternion.
     #[inline(always)]
     pub fn conjugate(self) -> Self {
         Self { w: self.w, v: -self.v }
     }
 
-    /// Sum of the squared components; 1 for a rotation.
+    /// Returns the sum of the squared components; 1 for a rotation.
     #[inline(always)]
     pub fn norm_squared(self) -> T {
         self.w * self.w + self.v.dot(self.v)
     }
 
-    /// Every component times `k`.
+    /// Returns the quaternion with every component multiplied by `k`.
     #[inline(always)]
     pub fn scaled(self, k: T) -> Self {
         Self { w: self.w * k, v: self.v * k }
     }
 
-    /// Unit quaternion along this one. Zero has none (every part is NaN), nor has what is so small or large that its
-    /// square is 0 or infinite.
+    /// Returns the unit quaternion in the same direction. The components are not finite or not normalized if the sum
+    /// of the squares is 0 or overflows; the zero quaternion gives NaN.
     #[inline(always)]
     pub fn normalized(self) -> Self {
         self.scaled(T::ONE / self.norm_squared().sqrt())
     }
 
-    /// Yaw, pitch and roll applied in this order, given the sines and cosines of the **half** angles.
+    /// Returns the attitude of yaw, pitch and roll applied in this order. The arguments are (sine, cosine) of the
+    /// **half** angles.
     #[inline]
     pub fn from_half_angles(roll: (T, T), pitch: (T, T), yaw: (T, T)) -> Self {
         let ((sr, cr), (sp, cp), (sy, cy)) = (roll, pitch, yaw);
@@ -275,7 +276,7 @@ impl<T: Scalar> Quaternion<T> {
         )
     }
 
-    /// Rotation matrix, body to world.
+    /// Returns the rotation matrix, body to world.
     #[inline(always)]
     pub fn to_matrix(self) -> Mat3<T> {
         let Vec3 { x, y, z } = self.v;
@@ -292,14 +293,14 @@ impl<T: Scalar> Quaternion<T> {
         }
     }
 
-    /// The world's down direction in body axes: the third row of the rotation matrix.
+    /// Returns the direction of down in body axes: the third row of the rotation matrix.
     #[inline(always)]
     pub fn down(self) -> Vec3<T> {
         let Vec3 { x, y, z } = self.v;
         vec3(T::TWO * (x * z - self.w * y), T::TWO * (y * z + self.w * x), T::ONE - T::TWO * (x * x + y * y))
     }
 
-    /// A body vector in world axes.
+    /// Rotates the body vector `b` into world axes.
     #[inline(always)]
     pub fn rotate(self, b: Vec3<T>) -> Vec3<T> {
         let t = self.v.cross(b) * T::TWO;
@@ -315,19 +316,19 @@ impl<T: Scalar> Mul for Quaternion<T> {
     }
 }
 
-/// Roll, pitch and yaw of an attitude, rad: for people and logs; the controller does not use them.
+/// Euler angles of an attitude, rad. For display and logs only; the controller does not use them.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Euler<T> {
-    /// About the body's x axis, in [−π, π].
+    /// Roll about x of the body, rad, in [−π, π].
     pub roll: T,
-    /// Nose up, in [−π/2, π/2].
+    /// Pitch, positive nose up, rad, in [−π/2, π/2].
     pub pitch: T,
-    /// Heading, clockwise from north seen from above, in [−π, π].
+    /// Yaw, clockwise from north seen from above, rad, in [−π, π].
     pub yaw: T,
 }
 
 impl Quaternion<f32> {
-    /// The attitude as Euler angles.
+    /// Returns the Euler angles of the attitude.
     pub fn to_euler(self) -> Euler<f32> {
         let m = self.to_matrix();
         let sin_pitch = -m[2].x;
@@ -339,10 +340,10 @@ impl Quaternion<f32> {
         }
     }
 
-    /// The rotation by the vector `r` (axis times angle, rad).
+    /// Returns the rotation by the vector `r` (axis times angle, rad).
     ///
-    /// Below a quarter radian of half-angle h the series of sin h / h and cos h to h⁶ are exact to f32
-    /// (h⁸/8! = 4e-10); a gyroscope at its full 2,000 °/s and 100 Hz turns 0.17 rad of half-angle a sample.
+    /// For half angles h below 0.25 rad, the series of sin h / h and cos h up to h⁶ are exact in f32 (h⁸/8! = 4e-10).
+    /// A gyroscope at its full scale of 2,000 °/s, at 100 Hz, turns a half angle of 0.17 rad per sample.
     #[inline]
     pub fn from_rotation_vector(r: Vec3<f32>) -> Self {
         let h2 = 0.25 * r.dot(r);

@@ -1,67 +1,68 @@
-//! Whether an inertial sample is one.
+//! Checks of inertial samples: invalid data, and axes that are stuck.
 
 use crate::arithmetic::max;
 use crate::sample::ImuSample;
 
-/// What the ICM-42688-P's registers hold when there is no valid sample, on every axis (datasheet DS-000347,
-/// section 14.1 on the data registers); a single axis at this value is one at the end of its range.
+/// Value of all axis registers of the ICM-42688-P when there is no valid sample (datasheet DS-000347, section 14.1 on
+/// the data registers). A single axis with this value is at the end of its range.
 const INVALID: i16 = i16::MIN;
 
-/// The ends of the range. The ICM-42688-P's counts end at −32,766, because the two below mark invalid data (the same
-/// section); a simulated converter's end at −32,768.
+/// Largest count of the range, and below it the smallest. The counts of the ICM-42688-P end at −32,766, because the
+/// two values below mark invalid data (the same section); the counts of a simulated converter end at −32,768.
 const HIGHEST: i16 = i16::MAX;
 const LOWEST: i16 = -32_766;
 
-/// How long an axis may read the same, s.
+/// Time after which an axis with a constant value counts as stuck, s.
 const IMU_STUCK_S: f32 = 0.1;
-/// And in how many looks, at least.
-const MIN_STUCK_LOOKS: f32 = 50.0;
+/// Minimum number of checks with a constant value before an axis counts as stuck.
+const MIN_STUCK_CHECKS: f32 = 50.0;
 
-/// Which sensors are noisy enough that an axis which reads the same for long must be stuck.
+/// Selects the sensors that have enough noise to be checked: an axis of these that reads a constant value for long is
+/// stuck.
 ///
-/// A real chip's noise is about a count or more: the ICM-42688-P's gyroscope has 0.0028 °/s/√Hz, over 258 Hz
-/// 0.045 °/s rms, 0.74 counts. Two samples are equal with a chance of about 0.28 over the noise in counts, 0.4
-/// here, and fifty pairs in succession with 10⁻²⁰; with half a count it is 10⁻¹³. A simulated sensor without noise
-/// may stand still for ever.
+/// A real chip has a noise of about one count or more. The gyroscope of the ICM-42688-P has 0.0028 °/s/√Hz, over
+/// 258 Hz 0.045 °/s rms, which is 0.74 counts. Two samples are equal with a probability of about 0.28 divided by the
+/// noise in counts, here 0.4; fifty equal pairs in succession have a probability of 10⁻²⁰, or 10⁻¹³ with half a count
+/// of noise. A simulated sensor without noise may read a constant value for ever, so it is not checked.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct StuckCheck {
-    /// The gyroscope.
+    /// Checks the gyroscope.
     pub gyro: bool,
-    /// The accelerometer.
+    /// Checks the accelerometer.
     pub accel: bool,
 }
 
-/// Looks at samples as they come.
+/// The check for stuck axes. It examines gyroscope and accelerometer in turn, one of them per sample.
 #[derive(Clone, Debug)]
 pub struct ImuCheck {
     check: StuckCheck,
-    /// Looks in which an axis may stand still.
+    /// Number of checks with a constant value from which an axis counts as stuck.
     limit: u32,
-    /// Whether the gyroscope is the next to be looked at: it and the accelerometer take turns.
+    /// Whether the gyroscope is checked next; otherwise the accelerometer is.
     gyro_next: bool,
     last: ImuSample,
-    /// Looks since each axis of gyroscope and accelerometer last moved.
+    /// Checks since each axis of gyroscope and accelerometer last changed.
     still: [[u32; 3]; 2],
     stuck: bool,
 }
 
 impl ImuCheck {
-    /// Before the first of `rate_hz` samples a second.
+    /// Creates the check for `rate_hz` (Hz) samples per second.
     pub fn new(check: StuckCheck, rate_hz: f32) -> Self {
-        let limit = max(0.5 * rate_hz * IMU_STUCK_S, MIN_STUCK_LOOKS) as u32;
+        let limit = max(0.5 * rate_hz * IMU_STUCK_S, MIN_STUCK_CHECKS) as u32;
         Self { check, limit, gyro_next: true, last: ImuSample::default(), still: [[0; 3]; 2], stuck: false }
     }
 
-    /// Whether the sample is one, and no code for the lack of one.
+    /// Returns whether the sample is valid: not the code for invalid data on all six axes.
     #[inline]
     pub fn is_valid(sample: &ImuSample) -> bool {
         sample.gyro.iter().chain(&sample.accel).any(|&counts| counts != INVALID)
     }
 
-    /// Takes a valid sample.
+    /// Updates the check with a valid sample.
     #[inline]
-    pub fn take(&mut self, sample: &ImuSample) {
+    pub fn update(&mut self, sample: &ImuSample) {
         let [gyro, accel] = &mut self.still;
         let (checked, still, last, now) = if self.gyro_next {
             (self.check.gyro, gyro, &mut self.last.gyro, sample.gyro)
@@ -72,15 +73,16 @@ impl ImuCheck {
         if !checked {
             return;
         }
-        let longest = count(still, *last, now);
+        let longest = count_unchanged(still, *last, now);
         *last = now;
-        // Until the stuck sensor's next turn the verdict stands.
+        // The result stays until the next check of the stuck sensor.
         if longest >= self.limit || self.stuck {
             self.stuck = self.stuck_within_range();
         }
     }
 
-    /// At the end of its range an axis is not stuck: the vehicle does more than the sensor can say.
+    /// Returns whether an axis is stuck. An axis at the end of its range is not: the motion exceeds the range of the
+    /// sensor.
     #[cold]
     fn stuck_within_range(&self) -> bool {
         let counts = self.last.gyro.iter().chain(&self.last.accel);
@@ -88,19 +90,19 @@ impl ImuCheck {
         axes.any(|(&still, &counts)| still >= self.limit && counts > LOWEST && counts < HIGHEST)
     }
 
-    /// Whether an axis has stood still for too long.
+    /// Returns whether an axis has read a constant value for too long.
     #[inline(always)]
     pub fn stuck(&self) -> bool {
         self.stuck
     }
 }
 
-/// Counts each axis's looks since it last moved; the largest of the three.
+/// Counts for each axis the checks since it last changed. Returns the largest of the three counts.
 #[inline(always)]
-fn count(still: &mut [u32; 3], last: [i16; 3], now: [i16; 3]) -> u32 {
+fn count_unchanged(still: &mut [u32; 3], last: [i16; 3], now: [i16; 3]) -> u32 {
     let mut longest = 0;
     for ((still, last), now) in still.iter_mut().zip(last).zip(now) {
-        // At the highest rate it takes a day and a half to wrap, and then the axis is found again in a tenth of a second.
+        // At the highest rate the counter wraps after a day and a half; the axis is then detected again within 0.1 s.
         *still = if last == now { still.wrapping_add(1) } else { 0 };
         longest = longest.max(*still);
     }
@@ -114,10 +116,10 @@ mod tests {
     use std::vec::Vec;
 
     proptest! {
-        /// From the whole past: an axis is stuck if its last looks, as many as fit into a tenth of a second, were all
-        /// alike and not at an end of the range. The verdict is given when the sensor has its turn.
+        /// Computed from the whole history: an axis is stuck if its last checks, as many as fit into 0.1 s, all read
+        /// the same value, which is not at an end of the range. The result changes only when its sensor is checked.
         #[test]
-        fn stuck_is_who_reads_the_same_for_a_tenth_of_a_second(
+        fn constant_value_for_a_tenth_of_a_second_is_stuck(
             rate_hz in prop_oneof![Just(1000.0_f32), 10.0..32_000.0_f32, Just(1130.0)],
             gyro_checked in any::<bool>(), accel_checked in prop::bool::weighted(0.7),
             runs in prop::collection::vec((
@@ -129,26 +131,26 @@ mod tests {
             ), 1..6),
         ) {
             let mut ours = ImuCheck::new(StuckCheck { gyro: gyro_checked, accel: accel_checked }, rate_hz);
-            // A look is at every other sample. Equal to the one before it: of n + 1 looks alike, n are.
+            // Every other sample is checked. Of n + 1 equal values, n equal the one before.
             let limit = ((0.5 * f64::from(rate_hz) * 0.1) as usize).max(50);
 
-            let mut looks: [Vec<[i16; 3]>; 2] = [std::vec![[0; 3]], std::vec![[0; 3]]];
+            let mut checks: [Vec<[i16; 3]>; 2] = [std::vec![[0; 3]], std::vec![[0; 3]]];
             let (mut step, mut stuck) = (0_usize, false);
             for (held, times) in runs {
                 for _ in 0..times {
                     let axis = |index: usize| held[index].unwrap_or(100 + (step as i16 & 0xff) * 7 + index as i16);
                     let sample = ImuSample { gyro: [axis(0), axis(1), axis(2)], accel: [axis(3), axis(4), axis(5)] };
-                    ours.take(&sample);
+                    ours.update(&sample);
                     let turn = step % 2;
                     let (checked, now) = if turn == 0 { (gyro_checked, sample.gyro) } else { (accel_checked, sample.accel) };
                     if checked {
-                        looks[turn].push(now);
-                        let alike = |looks: &[[i16; 3]], axis: usize| {
-                            let last = looks[looks.len() - 1][axis];
-                            let run = looks.iter().rev().take_while(|look| look[axis] == last).count() - 1;
+                        checks[turn].push(now);
+                        let alike = |checks: &[[i16; 3]], axis: usize| {
+                            let last = checks[checks.len() - 1][axis];
+                            let run = checks.iter().rev().take_while(|check| check[axis] == last).count() - 1;
                             run >= limit && !ENDS.contains(&last)
                         };
-                        stuck = looks.iter().any(|looks| (0..3).any(|axis| alike(looks, axis)));
+                        stuck = checks.iter().any(|checks| (0..3).any(|axis| alike(checks, axis)));
                     }
                     prop_assert_eq!(ours.stuck(), stuck, "at {}", step);
                     step += 1;
@@ -157,7 +159,7 @@ mod tests {
         }
 
         #[test]
-        fn one_count_that_is_not_the_code_makes_a_sample(axis in 0..6_usize, counts in any::<i16>()) {
+        fn one_axis_without_the_code_makes_it_valid(axis in 0..6_usize, counts in any::<i16>()) {
             let mut all = [i16::MIN; 6];
             all[axis] = counts;
             let [a, b, c, d, e, f] = all;
@@ -165,7 +167,7 @@ mod tests {
         }
     }
 
-    /// A chip's and a simulated converter's ends, and what lies between these.
+    /// Ends of the range of a chip and of a simulated converter, and the values between them.
     const ENDS: [i16; 4] = [32_767, -32_766, -32_767, -32_768];
 
     const BOTH: StuckCheck = StuckCheck { gyro: true, accel: true };
@@ -175,35 +177,35 @@ mod tests {
     }
 
     #[test]
-    fn any_one_axis_that_stands_still_for_a_tenth_of_a_second_is_stuck() {
+    fn any_single_constant_axis_is_stuck() {
         for axis in 0..6 {
             let mut check = ImuCheck::new(BOTH, 1000.0);
             for step in 0..100 {
-                check.take(&with_axis(step, axis, 7));
+                check.update(&with_axis(step, axis, 7));
                 assert!(!check.stuck(), "axis {axis}, step {step}");
             }
-            // Each sensor is looked at in every other sample.
-            check.take(&with_axis(100, axis, 7));
-            check.take(&with_axis(101, axis, 7));
+            // Each sensor is checked in every other sample.
+            check.update(&with_axis(100, axis, 7));
+            check.update(&with_axis(101, axis, 7));
             assert!(check.stuck(), "axis {axis}");
-            check.take(&moving(102));
-            check.take(&moving(103));
+            check.update(&moving(102));
+            check.update(&moving(103));
             assert!(!check.stuck(), "axis {axis} moves again");
         }
     }
 
     #[test]
-    fn a_slow_sensor_is_given_fifty_looks() {
+    fn slow_sensor_is_stuck_after_fifty_checks() {
         let mut check = ImuCheck::new(BOTH, 100.0);
         for _ in 0..100 {
-            check.take(&moving(2));
+            check.update(&moving(2));
             assert!(!check.stuck());
         }
-        check.take(&moving(2));
+        check.update(&moving(2));
         assert!(check.stuck());
     }
 
-    /// The sample of a vehicle in motion, but for one axis, which reads `counts`.
+    /// The sample of a vehicle in motion, except for one axis, which reads `counts`.
     fn with_axis(step: i16, axis: usize, counts: i16) -> ImuSample {
         let mut sample = moving(step);
         let ImuSample { gyro, accel } = &mut sample;
@@ -212,11 +214,11 @@ mod tests {
     }
 
     #[test]
-    fn an_axis_at_either_end_of_its_range_is_not_stuck() {
+    fn axis_at_an_end_of_its_range_is_not_stuck() {
         let stuck_at = |axis, counts| {
             let mut check = ImuCheck::new(BOTH, 1000.0);
             (0..1_000).any(|step| {
-                check.take(&with_axis(step, axis, counts));
+                check.update(&with_axis(step, axis, counts));
                 check.stuck()
             })
         };
@@ -231,16 +233,16 @@ mod tests {
     }
 
     #[test]
-    fn a_sensor_without_noise_is_not_checked() {
+    fn sensor_without_noise_is_not_checked() {
         let mut ideal = ImuCheck::new(StuckCheck { gyro: false, accel: false }, 1000.0);
         for _ in 0..1_000 {
-            ideal.take(&moving(1));
+            ideal.update(&moving(1));
             assert!(!ideal.stuck());
         }
     }
 
     #[test]
-    fn the_code_for_invalid_is_on_all_axes() {
+    fn sample_is_invalid_with_the_code_on_all_axes() {
         let invalid = ImuSample { gyro: [i16::MIN; 3], accel: [i16::MIN; 3] };
         assert!(!ImuCheck::is_valid(&invalid));
         assert!(ImuCheck::is_valid(&ImuSample { gyro: [i16::MIN, i16::MIN, -32_767], ..invalid }));

@@ -1,7 +1,7 @@
-//! Thrust and torques to rotor speeds, and back: eqs 4-7.
+//! The mixer: conversion between thrust and torques and the speeds of the rotors, equations 4-7 of the paper.
 //!
-//! With A the 4×4 sign matrix of eqs 4-7 (a Hadamard matrix, A⁻¹ = Aᵀ/4), f and r the distances of the rotors forward
-//! and to the right of the centre of gravity (of the paper's square f = r = l sin(π/4)):
+//! A is the 4×4 sign matrix of eqs 4-7, a Hadamard matrix with A⁻¹ = Aᵀ/4. f and r are the distances of the rotors
+//! from the centre of gravity, forward and to the right; the square of the paper has f = r = l sin(π/4).
 //!
 //! ```text
 //!            U1 = b Σ Ω²                  rotor   roll  pitch  yaw    seen from above, forward is up
@@ -11,28 +11,29 @@
 //!                                           4      +     −     −
 //! ```
 //!
-//! so Ωᵢ² = U1/4b ± roll/4br ± pitch/4bf ± yaw/4d; with [`Spin::PropsIn`] the signs of yaw are the opposite ones. A rotor can do Ω_idle² to Ω_max² and nothing else, and a
-//! demand outside it is cut in a fixed order: keep roll and pitch, shift the collective into range, then
-//! scale yaw, then scale roll and pitch together. No rotor is clipped by itself, which would turn a yaw
-//! demand into roll.
+//! The inverse is Ωᵢ² = U1/4b ± roll/4br ± pitch/4bf ± yaw/4d. With [`Spin::PropsIn`] the signs of yaw are reversed.
+//!
+//! Each Ω² is limited to Ω_idle² to Ω_max². A demand that does not fit is reduced in a fixed order: roll and pitch
+//! are kept, the collective is shifted into range, then yaw is scaled, and last roll and pitch are scaled together.
+//! No rotor is clipped individually, because that would turn a yaw demand into roll.
 
 use crate::arithmetic::{max, min, sqrt};
 use crate::geometry::{Vec3, vec3};
 use crate::range::{ConfigError, check};
 
-/// Which way the rotors turn, seen from above.
+/// Direction of rotation of the rotors, seen from above.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub enum Spin {
-    /// Front left and rear right anticlockwise, the others clockwise: the paper's, and Betaflight's "props out".
+    /// Front left and rear right anticlockwise, the others clockwise: as in the paper, and "props out" in Betaflight.
     #[default]
     PropsOut,
-    /// Front left and rear right clockwise: the default of PX4 and of Betaflight, "props in".
+    /// Front left and rear right clockwise, the others anticlockwise: "props in", the default of PX4 and Betaflight.
     PropsIn,
 }
 
 impl Spin {
-    /// Sign of the yaw torque (about the body's z, down) of the front left rotor.
+    /// Returns the sign of the yaw torque (about z, down) of the front left rotor: 1 or −1.
     pub const fn sign(self) -> f32 {
         match self {
             Self::PropsOut => 1.0,
@@ -41,32 +42,34 @@ impl Spin {
     }
 }
 
-/// The vehicle, as far as thrust, torque and angular acceleration go (symbols of the paper's table 1).
+/// Parameters of the vehicle for thrust, torques and angular acceleration (symbols of table 1 of the paper).
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct Airframe {
-    /// b, N·s²: thrust of a rotor is b Ω².
+    /// b, N·s²: the thrust of a rotor is b Ω². 10⁻⁹ to 1.
     pub thrust_coefficient: f32,
-    /// d, N·m·s²: reaction torque of a rotor is d Ω².
+    /// d, N·m·s²: the reaction torque of a rotor is d Ω². 10⁻¹¹ to 1.
     pub torque_coefficient: f32,
-    /// f, m: how far the front rotors are forward of the centre of gravity, and the rear ones behind it.
+    /// f, m: distance of the front rotors forward of the centre of gravity, and of the rear rotors behind it. 0.005
+    /// to 10.
     pub forward_m: f32,
-    /// r, m: how far the right rotors are to the right of it, and the left ones to the left.
+    /// r, m: distance of the right rotors to the right of the centre of gravity, and of the left rotors to the left.
+    /// 0.005 to 10.
     pub right_m: f32,
-    /// Which way the rotors turn.
+    /// Direction of rotation.
     pub spin: Spin,
-    /// I_xx, I_yy, I_zz, kg·m².
+    /// I_xx, I_yy, I_zz, kg·m²: 10⁻⁹ to 10⁶.
     pub inertia_kg_m2: Vec3<f32>,
-    /// Slowest speed of an armed rotor, rad/s.
+    /// Idle speed, the slowest speed of an armed rotor, rad/s: 0 to half of `max_rad_s`.
     pub idle_rad_s: f32,
-    /// Fastest speed of a rotor, rad/s.
+    /// Maximum speed of a rotor, rad/s: 1 to 10,000.
     pub max_rad_s: f32,
 }
 
 impl Airframe {
-    /// OS4 (Bouabdallah, *Design and control of quadrotors with application to autonomous flying*, EPFL
-    /// thesis 3727, 2007). Idle and maximum speed are our own choice: thrust to weight 2, idle at 2 % of
-    /// hover thrust.
+    /// OS4 (Bouabdallah, *Design and control of quadrotors with application to autonomous flying*, EPFL thesis 3727,
+    /// 2007). Idle and maximum speed are our choice: a thrust-to-weight ratio of 2, and idle at 2 % of the hover
+    /// thrust.
     pub const OS4: Self = Self {
         thrust_coefficient: 3.13e-5,
         torque_coefficient: 7.5e-7,
@@ -80,21 +83,21 @@ impl Airframe {
     };
 }
 
-/// Thrust and torques that the rotors are to produce, or do.
+/// Thrust and torques of the four rotors together: demanded or produced.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Wrench {
-    /// U1, N, upward along the body's −z.
+    /// U1: thrust, N, upward along −z of the body.
     pub thrust_n: f32,
-    /// l U2, l U3, U4, N·m, about the body's x, y, z.
+    /// l U2, l U3, U4: torques about x, y, z of the body, N·m.
     pub torque_n_m: Vec3<f32>,
 }
 
-/// What of a demand did not fit.
+/// The parts of a demand that the mixer reduced.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Saturation {
-    /// Roll and pitch were scaled down.
+    /// Whether roll and pitch were scaled down.
     pub roll_pitch: bool,
-    /// Yaw was scaled down.
+    /// Whether yaw was scaled down.
     pub yaw: bool,
 }
 
@@ -114,10 +117,11 @@ pub struct Mixer {
 }
 
 impl Mixer {
-    /// The mixer of an airframe.
+    /// Creates the mixer of an airframe.
     ///
     /// # Errors
-    /// A coefficient, distance, inertia or speed that isn't positive; an idle speed not below the maximum.
+    /// Returns the first coefficient, distance or speed outside the range that [`Airframe`] gives. The inertia is not
+    /// checked here.
     pub fn new(airframe: &Airframe) -> Result<Self, ConfigError> {
         let Airframe { thrust_coefficient: b, torque_coefficient: d, forward_m, right_m, .. } = *airframe;
         check("airframe.thrust_coefficient", b, 1.0e-9, 1.0)?;
@@ -136,19 +140,19 @@ impl Mixer {
         })
     }
 
-    /// Thrust with all rotors at full speed, N.
+    /// Returns the thrust of all four rotors at maximum speed, N.
     pub fn max_thrust_n(&self) -> f32 {
         self.max_square / self.per_thrust
     }
 
-    /// Squared speeds (rad²/s²) that produce `demand` or, where that can't be, what is nearest to it in the
-    /// order of the module's text.
+    /// Returns the squared speeds of rotors 1 to 4 (rad²/s²) that produce `demand`, and the parts of the demand that
+    /// were reduced because they did not fit. The module documentation gives the order of reduction.
     ///
-    /// Rotors 1 and 3 get ±A, 2 and 4 ±B from roll and pitch, and +Y or −Y from yaw, so the spread is
-    /// max(2|A|, 2|B|, |A| + |B| + 2|Y|), and each limit is solved for in closed form.
+    /// Roll and pitch add ±A to rotors 1 and 3 and ±B to rotors 2 and 4; yaw adds +Y and −Y. The spread of the
+    /// squared speeds is therefore max(2|A|, 2|B|, |A| + |B| + 2|Y|), which gives each limit in closed form.
     ///
-    /// A thrust that is not a number is the least that is possible. A torque that is none, or larger than any number
-    /// of Ω², gives squares that are none, and [`Self::speeds`] makes zeros of them.
+    /// A NaN thrust gives the smallest possible thrust. A torque that is NaN, or too large for an Ω² in f32, gives
+    /// NaN squares, which [`Self::speeds`] converts to zero.
     #[inline]
     pub fn mix(&self, demand: &Wrench) -> ([f32; 4], Saturation) {
         let span = self.max_square - self.min_square;
@@ -165,14 +169,15 @@ impl Mixer {
             b *= share;
         }
         let wanted = demand.torque_n_m.z * self.per_yaw_torque;
-        // Rounding may leave −ε of room.
+        // Rounding may give −ε.
         let room = max(0.5 * (span - a.abs() - b.abs()), 0.0);
         let yaw = wanted.abs() > room;
         let y = if yaw { room.copysign(wanted) } else { wanted };
 
         let highest = max(a.abs() + y, b.abs() - y);
         let deepest = max(a.abs() - y, b.abs() + y);
-        // In this order the thrust that is not a number is the least, not the most: `min` returns its second.
+        // This order of operands gives a NaN thrust the smallest value and not the largest: `min` returns its second
+        // operand.
         let wanted = min(self.max_square - highest, demand.thrust_n * self.per_thrust);
         let collective = max(wanted, self.min_square + deepest);
 
@@ -180,7 +185,7 @@ impl Mixer {
         ([up + a, down + b, up - a, down - b], Saturation { roll_pitch, yaw })
     }
 
-    /// Eqs 4-7 as they stand: what rotors at these squared speeds produce.
+    /// Returns the thrust and torques of rotors at these squared speeds (rad²/s²): eqs 4-7 as written in the paper.
     pub fn produce(&self, squares: [f32; 4]) -> Wrench {
         let [s1, s2, s3, s4] = squares;
         let quarter = |sum: f32, per: f32| 0.25 * sum / per;
@@ -194,8 +199,7 @@ impl Mixer {
         }
     }
 
-    /// Speeds of squared speeds, rad/s. A square that rounding left just below its limit reads as zero speed
-    /// at worst.
+    /// Returns the speeds of squared speeds, rad/s. A negative square, which rounding can give, and NaN give zero.
     #[inline]
     pub fn speeds(squares: [f32; 4]) -> [f32; 4] {
         squares.map(|s| sqrt(max(s, 0.0)))
@@ -212,7 +216,7 @@ mod tests {
         Mixer::new(&Airframe::OS4).unwrap()
     }
 
-    /// Eqs 4-7 written out from the paper in f64, with p_i/4 read as π/4 and the lever of eqs 8-9.
+    /// Eqs 4-7 copied from the paper in f64, with p_i/4 read as π/4 and the lever arm of eqs 8-9.
     fn paper(s: [f32; 4]) -> [f64; 4] {
         let [s1, s2, s3, s4] = s.map(f64::from);
         let (b, d, l) = (3.13e-5, 7.5e-7, 0.23);
@@ -233,12 +237,12 @@ mod tests {
         Wrench { thrust_n, torque_n_m: vec3(x, y, z) }
     }
 
-    /// Largest torques from hover: roll or pitch 2 · Ω_h² per side, yaw likewise.
+    /// Largest torques from hover, N·m: roll or pitch with 2 · Ω_h² per side, yaw likewise.
     const MAX_TILT_TORQUE: f32 = 1.04;
     const MAX_YAW_TORQUE: f32 = 0.153;
 
     #[test]
-    fn sign_matrix_is_hadamard_with_the_determinant_of_the_design() {
+    fn sign_matrix_is_hadamard_with_determinant_16() {
         let signs = [[1, 1, 1, 1], [1, -1, -1, 1], [1, 1, -1, -1], [1, -1, 1, -1]];
         for (i, p) in signs.iter().enumerate() {
             for (j, q) in signs.iter().enumerate() {
@@ -266,7 +270,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn forward_is_the_paper(s in prop::array::uniform4(0.0_f32..1.0e5)) {
+        fn produced_wrench_equals_the_paper(s in prop::array::uniform4(0.0_f32..1.0e5)) {
             let scale = [13.0, 1.0, 1.0, 0.15];
             for ((ours, theirs), scale) in parts(&mixer().produce(s)).into_iter().zip(paper(s)).zip(scale) {
                 prop_assert!((ours - theirs).abs() < 2e-6 * scale, "{} {}", ours, theirs);
@@ -274,7 +278,7 @@ mod tests {
         }
 
         #[test]
-        fn inverse_then_forward_is_identity_inside_the_envelope(
+        fn mixed_then_produced_is_the_demand_in_range(
             thrust in 5.0_f32..8.0, x in -0.2_f32..0.2, y in -0.2_f32..0.2, z in -0.02_f32..0.02,
         ) {
             let (squares, saturation) = mixer().mix(&wrench(thrust, x, y, z));
@@ -286,7 +290,7 @@ mod tests {
         }
 
         #[test]
-        fn any_demand_stays_in_range_and_keeps_the_order(
+        fn any_demand_is_reduced_in_the_fixed_order(
             thrust in -5.0_f32..20.0, x in -3.0_f32..3.0, y in -3.0_f32..3.0, z in -0.5_f32..0.5,
         ) {
             let mixer = mixer();
@@ -296,7 +300,7 @@ mod tests {
             }
             let [got_thrust, got_x, got_y, got_z] = paper(squares);
             let (x, y, z) = (f64::from(x), f64::from(y), f64::from(z));
-            // Roll and pitch keep their direction, and their size unless they alone fill the range.
+            // Roll and pitch keep their ratio, and their size unless they alone exceed the range.
             prop_assert!((got_x * y - got_y * x).abs() < 1e-5 * (1.0 + x.abs() + y.abs()));
             if saturation.roll_pitch {
                 prop_assert!(got_x.hypot(got_y) <= x.hypot(y) + 1e-6);
@@ -305,23 +309,23 @@ mod tests {
             } else {
                 prop_assert!((got_x - x).abs() < 1e-5 && (got_y - y).abs() < 1e-5);
             }
-            // Yaw never turns round, is never more than asked for, and is cut only if the range is full.
+            // Yaw never changes its sign, never exceeds the demand, and is reduced only if the range is full.
             prop_assert!(got_z * z >= -1e-9 && got_z.abs() <= z.abs() + 1e-6);
             prop_assert_eq!(saturation.yaw, (got_z - z).abs() > 1e-6);
-            // The collective is what was asked for unless a rotor is at its limit.
+            // The collective equals the demand unless a rotor is at its limit.
             let inside = squares.iter().all(|s| *s > mixer.min_square + 0.1 && *s < mixer.max_square - 0.1);
             if inside {
                 prop_assert!((got_thrust - f64::from(thrust)).abs() < 1e-4);
             }
         }
 
-        /// An independent way to the same optimum: bisection on the yaw share, with the range checked rotor
-        /// by rotor.
+        /// An independent way to the same result: bisection on the share of yaw, with the range checked for each
+        /// rotor.
         #[test]
-        fn yaw_is_cut_no_more_than_needed(x in -1.0_f32..1.0, y in -1.0_f32..1.0, z in -0.5_f32..0.5) {
+        fn yaw_is_reduced_no_more_than_needed(x in -1.0_f32..1.0, y in -1.0_f32..1.0, z in -0.5_f32..0.5) {
             let mixer = mixer();
             let (squares, saturation) = mixer.mix(&wrench(6.4, x, y, z));
-            // Nearly half of them: not rejected, or many cases would be too many rejections.
+            // Nearly half of the cases. Counted as passed, because proptest limits the number of rejected cases.
             if saturation.roll_pitch {
                 return Ok(());
             }
@@ -363,51 +367,51 @@ mod tests {
     }
 
     proptest! {
-        /// Any vehicle: the mixer is the inverse of the equations where the demand fits, and what does not fit comes
-        /// out in range, in shares of Ω²: the demand's four parts are drawn as such.
+        /// For any vehicle the mixer inverts the equations where the demand fits; a demand that does not fit gives
+        /// speeds in range. The four parts of the demand are drawn as shares of the range of Ω².
         #[test]
-        fn any_airframe_mixes_and_produces(airframe in airframe(), share in prop::array::uniform4(-0.6..0.6_f32)) {
+        fn any_airframe_mixes_within_its_range(airframe in airframe(), share in prop::array::uniform4(-0.6..0.6_f32)) {
             let mixer = Mixer::new(&airframe).unwrap();
             let Airframe { thrust_coefficient: b, torque_coefficient: d, forward_m, right_m, .. } = airframe;
             let [b, d, forward, right] = [b, d, forward_m, right_m].map(f64::from);
-            let (least, most) = (f64::from(airframe.idle_rad_s).powi(2), f64::from(airframe.max_rad_s).powi(2));
-            prop_assert!((f64::from(mixer.max_thrust_n()) / (4.0 * b * most) - 1.0).abs() < 1e-6);
+            let (min, max) = (f64::from(airframe.idle_rad_s).powi(2), f64::from(airframe.max_rad_s).powi(2));
+            prop_assert!((f64::from(mixer.max_thrust_n()) / (4.0 * b * max) - 1.0).abs() < 1e-6);
 
             // Eqs 4-7 for squares of c ± r ± p ± y, each a share of the range.
             let [c, r, p, y] = share.map(f64::from);
-            let (middle, span) = (0.5 * (least + most), most - least);
+            let (middle, span) = (0.5 * (min + max), max - min);
             let anticlockwise = if airframe.spin == Spin::PropsOut { 1.0 } else { -1.0 };
             let units = [4.0 * b, 4.0 * b * right, 4.0 * b * forward, 4.0 * d * anticlockwise];
             let wanted = [middle + 0.5 * c * span, r * span, p * span, y * span];
             let demand: [f64; 4] = core::array::from_fn(|part| units[part] * wanted[part]);
             let [thrust_n, x, yy, z] = demand.map(|part| part as f32);
             let (squares, saturation) = mixer.mix(&wrench(thrust_n, x, yy, z));
-            let rounding = 2e-6 * most;
+            let rounding = 2e-6 * max;
             for square in squares.map(f64::from) {
-                prop_assert!(square >= least - rounding && square <= most + rounding, "{}", square);
+                prop_assert!(square >= min - rounding && square <= max + rounding, "{}", square);
             }
             let exact: [f64; 4] = {
                 let [c, r, p, y] = wanted;
                 [c + r + p + y, c - r + p - y, c - r - p + y, c + r - p - y]
             };
-            let fits = exact.iter().all(|square| *square > least + rounding && *square < most - rounding);
+            let fits = exact.iter().all(|square| *square > min + rounding && *square < max - rounding);
             if fits {
                 prop_assert_eq!(saturation, Saturation::default());
                 for (ours, exact) in squares.into_iter().zip(exact) {
                     prop_assert!((f64::from(ours) - exact).abs() < rounding, "{} {}", ours, exact);
                 }
             }
-            // And back, whatever it was.
+            // The equations give the wrench of the squares, also where the demand did not fit.
             let [s1, s2, s3, s4] = squares.map(f64::from);
             let sums = [s1 + s2 + s3 + s4, s1 - s2 - s3 + s4, s1 + s2 - s3 - s4, s1 - s2 + s3 - s4];
             for ((ours, sum), unit) in parts(&mixer.produce(squares)).into_iter().zip(sums).zip(units) {
-                prop_assert!((ours - 0.25 * unit * sum).abs() < 1e-6 * unit.abs() * most, "{} {}", ours, sum);
+                prop_assert!((ours - 0.25 * unit * sum).abs() < 1e-6 * unit.abs() * max, "{} {}", ours, sum);
             }
         }
 
-        /// No demand at all makes a speed that a rotor can't have.
+        /// Any demand, also NaN or infinite, gives speeds in the range of the rotors.
         #[test]
-        fn speeds_of_any_demand(
+        fn any_demand_gives_speeds_in_range(
             demand in prop::array::uniform4(prop_oneof![ANY, -20.0..20.0_f32]), squares in prop::array::uniform4(ANY),
         ) {
             let [thrust_n, x, y, z] = demand;
@@ -421,12 +425,12 @@ mod tests {
         }
 
         #[test]
-        fn any_numbers_are_an_airframe_or_refused(
+        fn any_airframe_is_valid_or_rejected(
             numbers in prop::array::uniform6(prop_oneof![
                 3 => Just(None), 1 => ANY.prop_map(Some), 1 => (-1.0..20.0_f32).prop_map(Some),
             ]),
         ) {
-            let [b, d, forward, right, idle, most] = numbers;
+            let [b, d, forward, right, idle, max] = numbers;
             let os4 = Airframe::OS4;
             let airframe = Airframe {
                 thrust_coefficient: b.unwrap_or(os4.thrust_coefficient),
@@ -434,27 +438,28 @@ mod tests {
                 forward_m: forward.unwrap_or(os4.forward_m),
                 right_m: right.unwrap_or(os4.right_m),
                 idle_rad_s: idle.unwrap_or(os4.idle_rad_s),
-                max_rad_s: most.unwrap_or(os4.max_rad_s),
+                max_rad_s: max.unwrap_or(os4.max_rad_s),
                 ..os4
             };
-            let good = (1.0e-9..=1.0).contains(&airframe.thrust_coefficient)
+            let valid = (1.0e-9..=1.0).contains(&airframe.thrust_coefficient)
                 && (1.0e-11..=1.0).contains(&airframe.torque_coefficient)
                 && (0.005..=10.0).contains(&airframe.forward_m)
                 && (0.005..=10.0).contains(&airframe.right_m)
                 && (1.0..=1.0e4).contains(&airframe.max_rad_s)
                 && (0.0..=0.5 * airframe.max_rad_s).contains(&airframe.idle_rad_s);
             let mixer = Mixer::new(&airframe);
-            prop_assert_eq!(mixer.is_ok(), good);
+            prop_assert_eq!(mixer.is_ok(), valid);
             if let Ok(mixer) = mixer {
                 prop_assert!(mixer.max_thrust_n().is_finite() && mixer.max_thrust_n() > 0.0);
             }
         }
     }
 
-    /// Rotors that idle at 2 rad/s and do 4, with 1 N a rad²/s², and 1 N·m on every axis: 12 rad²/s² of range.
+    /// Rotors with an idle speed of 2 rad/s and a maximum of 4 rad/s, 1 N per rad²/s² of the four together and
+    /// likewise 1 N·m on each axis: the range of Ω² is 12 rad²/s².
     #[test]
-    fn what_just_fits_is_not_cut() {
-        let whole = Airframe {
+    fn demand_that_just_fits_is_not_reduced() {
+        let airframe = Airframe {
             thrust_coefficient: 0.25,
             torque_coefficient: 0.25,
             forward_m: 1.0,
@@ -463,7 +468,7 @@ mod tests {
             max_rad_s: 4.0,
             ..Airframe::OS4
         };
-        let mixer = Mixer::new(&whole).unwrap();
+        let mixer = Mixer::new(&airframe).unwrap();
         for (x, z) in [(6.0, 0.0), (0.0, 6.0), (3.0, 3.0)] {
             assert_eq!(mixer.mix(&wrench(10.0, x, 0.0, z)).1, Saturation::default(), "{x} {z}");
         }
@@ -473,22 +478,22 @@ mod tests {
     }
 
     #[test]
-    fn a_thrust_that_is_not_a_number_is_none() {
+    fn nan_thrust_gives_the_smallest_thrust() {
         let none = mixer().mix(&wrench(0.0, 0.1, 0.0, 0.0));
         assert_eq!(mixer().mix(&wrench(f32::NAN, 0.1, 0.0, 0.0)), none);
         assert_eq!(mixer().mix(&wrench(f32::NEG_INFINITY, 0.1, 0.0, 0.0)), none);
     }
 
     #[test]
-    fn corners_of_the_envelope() {
+    fn full_roll_full_yaw_and_hover() {
         let mixer = mixer();
-        // Full thrust and full roll: the collective gives way, the roll stays.
+        // Full thrust and full roll: the collective is reduced, the roll is kept.
         let (squares, saturation) = mixer.mix(&wrench(12.7, 0.5 * MAX_TILT_TORQUE, 0.0, 0.0));
         assert!((paper(squares)[1] - 0.52).abs() < 1e-4 && !saturation.roll_pitch);
         // No thrust and full yaw: the collective rises.
         let (squares, _) = mixer.mix(&wrench(0.0, 0.0, 0.0, 0.5 * MAX_YAW_TORQUE));
         assert!(paper(squares)[0] > 3.0);
-        // Hover: four equal rotors at the design's 225.7 rad/s.
+        // Hover: four equal rotors at 225.7 rad/s.
         let (squares, _) = mixer.mix(&wrench(0.65 * 9.80665, 0.0, 0.0, 0.0));
         for speed in Mixer::speeds(squares) {
             assert!((speed - 225.7).abs() < 0.1, "{speed}");
@@ -496,8 +501,8 @@ mod tests {
     }
 
     #[test]
-    fn rotor_positions_and_spins_give_the_signs_of_the_equations() {
-        // Cross products of lever and thrust, and the reaction to the spin, from geometry alone.
+    fn rotor_positions_and_spins_give_the_signs() {
+        // From the geometry alone: cross products of lever arm and thrust, and reaction torques of the rotors.
         let rotors = [(1.0, -1.0, 1.0), (1.0, 1.0, -1.0), (-1.0, 1.0, 1.0), (-1.0, -1.0, -1.0)];
         for (spin, turned) in [(Spin::PropsOut, 1.0), (Spin::PropsIn, -1.0)] {
             let airframe = Airframe { forward_m: 0.1, right_m: 0.2, spin, ..Airframe::OS4 };

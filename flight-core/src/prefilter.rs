@@ -1,49 +1,52 @@
-//! The prefilter: a 2nd-order Butterworth low-pass on every axis (section 3 of the paper: 30 Hz).
+//! The prefilter: a second-order Butterworth low-pass on every axis (section 3 of the paper: 30 Hz).
 //!
-//! Designed at run time for any cutoff below Nyquist by the bilinear transform with prewarping, and run in
-//! direct form II transposed: three products and five sums a sample, with two states. The first sample sets
-//! the states to those of an input that was always there, so a constant input has no transient.
+//! The coefficients are computed at run time, for any cutoff below the Nyquist frequency, by the bilinear transform
+//! with prewarping. The filter runs in direct form II transposed: three products and five sums per sample, with two
+//! states. The first sample initializes the states as if this input had always been present, so that a constant input
+//! causes no transient.
 
 use crate::geometry::{Vec3, vec3};
 use crate::range::{ConfigError, check};
 
-/// Highest rate for a cutoff, as a multiple of it. The gain at zero frequency is 4K²/(D (1 + a₁ + a₂)), and of the sum below, which
-/// is 4K²/D, f32 loses up to 9e-8 by rounding a₁ and a₂. With K = π/2,000 that sum is 9.9e-6, and the gain
-/// right to 1 %; at a tenth of that cutoff it would be anything, or infinite. As far below half the rate the same
-/// happens to the gain there.
+/// Largest ratio of sample rate to cutoff. The gain at zero frequency is 4K²/(D (1 + a₁ + a₂)). In exact arithmetic
+/// the sum 1 + a₁ + a₂ is 4K²/D; the rounding of a₁ and a₂ to f32 changes it by up to 9e-8. With K = π/2,000 the sum
+/// is 9.9e-6 and the gain is correct to 1 %; at a tenth of that cutoff the gain would be arbitrary or infinite. At
+/// the same distance below half the sample rate the gain at half the sample rate has the same limit.
 pub const MAX_RATE_PER_CUTOFF: f32 = 2_000.0;
 
 /// Coefficients of one second-order low-pass section:
 /// y\[k\] = b₀(x\[k\] + 2x\[k−1\] + x\[k−2\]) − a₁y\[k−1\] − a₂y\[k−2\].
 ///
-/// The bilinear transform gives every low-pass both its zeros at half the rate, so b₀ stands for all three.
+/// The bilinear transform places both zeros of a low-pass at half the sample rate, so one b₀ represents all three
+/// feed-forward coefficients.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Biquad {
-    /// Feed-forward.
+    /// Feed-forward coefficient b₀.
     pub b0: f32,
-    /// Feedback: a₁ and a₂.
+    /// Feedback coefficients a₁ and a₂.
     pub a: [f32; 2],
 }
 
 impl Biquad {
-    /// 2nd-order Butterworth low-pass with its −3 dB point at `cutoff_hz`, for samples at `rate_hz`.
+    /// Designs a second-order Butterworth low-pass with its −3 dB point at `cutoff_hz` (Hz) for samples at `rate_hz`
+    /// (Hz).
     ///
-    /// With K = tan(π f_c/f_s), the analogue prototype 1/(s² + √2 s + 1) becomes
-    /// b = (K², 2K², K²)/D, a₁ = 2(K² − 1)/D, a₂ = (1 − √2K + K²)/D, D = 1 + √2K + K². In f64: at 30 Hz and
-    /// 8 kHz, 1 + a₁ + a₂ is 5e-4, and what is lost in it is lost in the gain.
+    /// With K = tan(π f_c/f_s) and D = 1 + √2K + K², the analogue prototype 1/(s² + √2 s + 1) becomes b = (K², 2K²,
+    /// K²)/D, a₁ = 2(K² − 1)/D, a₂ = (1 − √2K + K²)/D. The computation is in f64: at 30 Hz and 8 kHz, 1 + a₁ + a₂ is
+    /// 5e-4, and its relative error is the relative error of the gain.
     ///
     /// # Errors
-    /// A rate outside 1 Hz to 1 MHz, or a cutoff that isn't above a [`MAX_RATE_PER_CUTOFF`]th of the
-    /// rate, and as much below half of it.
+    /// Returns a rate outside 1 Hz to 1 MHz, or a cutoff that is not above `rate_hz`/[`MAX_RATE_PER_CUTOFF`] or not
+    /// at least as far below half of the rate.
     pub fn butterworth(cutoff_hz: f32, rate_hz: f32) -> Result<Self, ConfigError> {
         check("prefilter.rate_hz", rate_hz, 1.0, 1.0e6)?;
-        let least = rate_hz / MAX_RATE_PER_CUTOFF;
-        if !(cutoff_hz > least && cutoff_hz < 0.5 * rate_hz - least) {
+        let min_hz = rate_hz / MAX_RATE_PER_CUTOFF;
+        if !(cutoff_hz > min_hz && cutoff_hz < 0.5 * rate_hz - min_hz) {
             return Err(ConfigError {
                 field: "prefilter.cutoff_hz",
                 value: cutoff_hz,
-                minimum: least,
-                maximum: 0.5 * rate_hz - least,
+                minimum: min_hz,
+                maximum: 0.5 * rate_hz - min_hz,
                 exclusive: true,
             });
         }
@@ -57,14 +60,14 @@ impl Biquad {
         })
     }
 
-    /// Gain at zero frequency, as the rounded coefficients have it: 1 but for rounding.
+    /// Returns the gain at zero frequency with the rounded coefficients: 1 except for rounding.
     fn dc_gain(&self) -> f32 {
         let [a1, a2] = self.a;
         4.0 * self.b0 / ((1.0 + a1) + a2)
     }
 }
 
-/// The state of one axis, in direct form II transposed.
+/// State of the filter of one axis, in direct form II transposed.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Section {
     s1: f32,
@@ -72,7 +75,7 @@ pub struct Section {
 }
 
 impl Section {
-    /// Filters one sample.
+    /// Filters one sample with the coefficients `c`.
     #[inline(always)]
     pub fn step(&mut self, c: &Biquad, x: f32) -> f32 {
         let [a1, a2] = c.a;
@@ -83,7 +86,7 @@ impl Section {
         y
     }
 
-    /// The state that a constant input `x` leads to.
+    /// Returns the state after a constant input `x` has settled.
     pub fn settled(c: &Biquad, x: f32) -> Self {
         let y = c.dc_gain() * x;
         let fed = c.b0 * x;
@@ -99,7 +102,7 @@ pub struct Prefilter {
     stage: Stage,
 }
 
-/// One field for "is there a filter" and "has it begun", so that a sample asks once.
+/// State of the prefilter. One field for "has a filter" and "has started", so that each sample needs one comparison.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Stage {
     Off,
@@ -108,7 +111,7 @@ enum Stage {
 }
 
 impl Prefilter {
-    /// A prefilter with the given section; `None` passes everything unchanged.
+    /// Creates a prefilter with the given coefficients. `None` passes every sample unchanged.
     pub fn new(design: Option<Biquad>) -> Self {
         Self {
             design: design.unwrap_or_default(),
@@ -117,7 +120,8 @@ impl Prefilter {
         }
     }
 
-    /// Filters one sample. One that is not finite stays in it until [`Self::restart`].
+    /// Filters one sample of three axes, in any unit. A sample that is not finite remains in the state until
+    /// [`Self::restart`].
     #[inline(always)]
     pub fn step(&mut self, x: Vec3<f32>) -> Vec3<f32> {
         if self.stage != Stage::Running {
@@ -131,8 +135,8 @@ impl Prefilter {
         vec3(ax.step(c, x.x), ay.step(c, x.y), az.step(c, x.z))
     }
 
-    /// Out of line, so that the states of every other sample stay in memory until they are used: merged with
-    /// it, they cost four instructions more an axis.
+    /// Initializes the states. Not inlined: merged into [`Self::step`] it would cost every other sample four more
+    /// instructions per axis, because the states would not stay in memory until they are used.
     #[cold]
     #[inline(never)]
     fn start(&mut self, x: Vec3<f32>) {
@@ -140,7 +144,7 @@ impl Prefilter {
         self.axes = <[f32; 3]>::from(x).map(|x| Section::settled(&self.design, x));
     }
 
-    /// Forgets the past: the next sample starts without a transient again.
+    /// Resets the filter: the next sample initializes the states, without a transient.
     pub fn restart(&mut self) {
         if self.stage == Stage::Running {
             self.stage = Stage::Fresh;
@@ -154,7 +158,7 @@ mod tests {
     use proptest::num::f32::ANY;
     use proptest::prelude::*;
 
-    /// scipy 1.17.1, `scipy.signal.butter(2, cutoff, fs=rate)`: an independent design.
+    /// An independent design: scipy 1.17.1, `scipy.signal.butter(2, cutoff, fs=rate)`.
     const SCIPY: [(f32, f32, [f64; 3], [f64; 2]); 5] = [
         (
             30.0,
@@ -189,12 +193,12 @@ mod tests {
     ];
 
     #[test]
-    fn coefficients_equal_an_independent_design() {
+    fn coefficients_equal_the_scipy_design() {
         for (cutoff, rate, b, a) in SCIPY {
             let ours = Biquad::butterworth(cutoff, rate).unwrap();
             let fed = [ours.b0, 2.0 * ours.b0, ours.b0];
             for (ours, theirs) in fed.into_iter().zip(b).chain(ours.a.into_iter().zip(a)) {
-                // One rounding to f32, plus the rounding of the cutoff to f32.
+                // The rounding of the result to f32, plus the rounding of the cutoff to f32.
                 assert!(
                     (f64::from(ours) - theirs).abs() <= 1.5e-7 * theirs.abs(),
                     "{cutoff} Hz at {rate} Hz"
@@ -204,7 +208,7 @@ mod tests {
     }
 
     #[test]
-    fn cutoff_near_or_above_nyquist_is_an_error_that_names_the_range() {
+    fn cutoff_out_of_range_error_names_the_range() {
         for cutoff in [499.5, 500.0, 1e4, 0.5, 0.0, -1.0, f32::NAN] {
             let error = Biquad::butterworth(cutoff, 1000.0).unwrap_err();
             assert_eq!((error.field, error.maximum), ("prefilter.cutoff_hz", 499.5));
@@ -212,7 +216,8 @@ mod tests {
         assert!(Biquad::butterworth(30.0, 0.0).is_err());
     }
 
-    /// Gain at `f` from the response to a long sine: a second method beside the coefficients.
+    /// Returns the gain at a frequency, measured from the response to a long sine: a second method beside the
+    /// coefficients.
     fn gain_at(frequency_hz: f64, cutoff_hz: f32, rate_hz: f32) -> f64 {
         let c = Biquad::butterworth(cutoff_hz, rate_hz).unwrap();
         let mut s = Section::default();
@@ -246,8 +251,8 @@ mod tests {
             let cutoff = share * rate;
             let mut filter = Prefilter::new(Some(Biquad::butterworth(cutoff, rate).unwrap()));
             let first = filter.step(vec3(x, -x, 0.0));
-            // The gain of the rounded coefficients. Above 30 Hz at 1 kHz it is within 1e-5.
-            // A step adds roundings of 4 ε |x| at most, ε/2 in y, 5ε/2 in s₁ and ε in s₂, each with that gain.
+            // The gain of the rounded coefficients is within 1e-5 above 30 Hz at 1 kHz. A step adds rounding errors
+            // of at most 4 ε |x|: ε/2 in y, 5ε/2 in s₁ and ε in s₂, each multiplied by that gain.
             let rounding = 4.0 * f32::EPSILON / (core::f32::consts::TAU * cutoff / rate).powi(2) + 1e-6;
             prop_assert!((first.x - x).abs() <= rounding.min(0.01) * x.abs());
             for _ in 0..2000 {
@@ -258,7 +263,7 @@ mod tests {
         }
     }
 
-    /// A rate and a cutoff that are taken.
+    /// Valid cutoffs and rates, Hz.
     fn design() -> impl Strategy<Value = (f32, f32)> {
         let share =
             prop_oneof![1.01 / MAX_RATE_PER_CUTOFF..0.5 - 1.01 / MAX_RATE_PER_CUTOFF, 0.001..0.05_f32];
@@ -266,10 +271,10 @@ mod tests {
     }
 
     proptest! {
-        /// Butterworth's gain in closed form, |H|² = 1/(1 + (tan(π f/f_s)/tan(π f_c/f_s))⁴), against the transfer
+        /// The Butterworth gain in closed form, |H|² = 1/(1 + (tan(π f/f_s)/tan(π f_c/f_s))⁴), equals the transfer
         /// function of the coefficients on the unit circle.
         #[test]
-        fn the_gain_is_butterworths_at_any_frequency((cutoff_hz, rate_hz) in design(), at in 0.0..0.49_f64) {
+        fn gain_follows_the_butterworth_formula((cutoff_hz, rate_hz) in design(), at in 0.0..0.49_f64) {
             use core::f64::consts::PI;
             let c = Biquad::butterworth(cutoff_hz, rate_hz).unwrap();
             let wanted = ((PI * at).tan() / (PI * f64::from(cutoff_hz) / f64::from(rate_hz)).tan()).powi(4);
@@ -282,21 +287,22 @@ mod tests {
             let [a1, a2] = c.a.map(f64::from);
             let b0 = f64::from(c.b0);
             let squared = at_circle(b0, 2.0 * b0, b0) / at_circle(1.0, a1, a2);
-            // What is lost by rounding the coefficients: 1 % at the ends of the range, as its text says, twice in the square.
+            // The error from rounding the coefficients: 1 % at the ends of the range, as `MAX_RATE_PER_CUTOFF`
+            // documents, doubled by the square.
             prop_assert!((squared - 1.0 / (1.0 + wanted)).abs() < 0.025, "{}", squared);
-            // A pole outside the circle would be an oscillation that grows.
+            // A pole outside the unit circle would be a growing oscillation.
             prop_assert!(a2.abs() < 1.0 && a1.abs() < 1.0 + a2);
         }
 
-        /// A second form of the same filter: direct form I, in f64, which keeps the inputs and the outputs.
+        /// Equal to a second form of the same filter: direct form I in f64, which stores inputs and outputs.
         #[test]
-        fn a_section_is_the_difference_equation(
+        fn section_equals_the_difference_equation(
             (cutoff_hz, rate_hz) in design(), start in -1000.0..1000.0_f32, x in prop::collection::vec(-1000.0..1000.0_f32, 1..100),
         ) {
             let c = Biquad::butterworth(cutoff_hz, rate_hz).unwrap();
             let [a1, a2] = c.a.map(f64::from);
             let b0 = f64::from(c.b0);
-            // The sum in the gain is exact in f32, so what it leads to is right to a few last places.
+            // The sum in the gain is exact in f32, so the settled state is correct to a few units in the last place.
             let gain = 4.0 * b0 / (1.0 + a1 + a2);
             let mut ours = Section::settled(&c, start);
             let y = gain * f64::from(start);
@@ -311,32 +317,32 @@ mod tests {
                 let y = b0 * (f64::from(x) + 2.0 * x1 + x2) - a1 * y1 - a2 * y2;
                 (x2, x1, y2, y1) = (x1, f64::from(x), y1, y);
                 let found = ours.step(&c, x);
-                // Roundings add up over 1/ω_c samples, as in the test of a constant input above; and as many in the other
-                // direction at half the rate.
+                // Rounding errors accumulate over 1/ω_c samples, as in the test of a constant input above, and in the
+                // same way near half the sample rate.
                 let share = f64::from(cutoff_hz / rate_hz);
                 let summed = 1.0 / (core::f64::consts::TAU * share.min(0.5 - share)).powi(2);
                 let rounding = 1000.0 * 8.0 * f64::from(f32::EPSILON) * (1.0 + summed);
                 prop_assert!((f64::from(found) - y).abs() <= rounding, "{} {}", found, y);
-                // Three of them, each by itself.
+                // The three axes are independent.
                 prop_assert_eq!(axes.step(vec3(x, 0.0, -x)), vec3(found, 0.0, -found));
             }
         }
 
         #[test]
-        fn any_numbers_are_a_design_or_refused(
+        fn any_design_is_valid_or_rejected(
             cutoff_hz in prop_oneof![0.0..600.0_f32, ANY], rate_hz in prop_oneof![4 => Just(1000.0_f32), 1 => ANY],
         ) {
-            let good = (1.0..=1.0e6).contains(&rate_hz)
+            let valid = (1.0..=1.0e6).contains(&rate_hz)
                 && cutoff_hz > rate_hz / 2_000.0 && cutoff_hz < 0.5 * rate_hz - rate_hz / 2_000.0;
             let design = Biquad::butterworth(cutoff_hz, rate_hz);
-            prop_assert_eq!(design.is_ok(), good);
+            prop_assert_eq!(design.is_ok(), valid);
             if let Ok(Biquad { b0, a: [a1, a2] }) = design {
                 prop_assert!(b0 > 0.0 && b0 < 1.0 && a1.abs() < 2.0 && a2.abs() < 1.0);
             }
         }
 
         #[test]
-        fn without_a_design_everything_passes_unchanged(samples in prop::collection::vec([ANY, ANY, ANY], 1..10)) {
+        fn no_design_passes_every_sample_unchanged(samples in prop::collection::vec([ANY, ANY, ANY], 1..10)) {
             let mut filter = Prefilter::new(None);
             for [x, y, z] in samples {
                 let passed = filter.step(vec3(x, y, z));
@@ -345,10 +351,10 @@ mod tests {
             }
         }
 
-        /// A sample that is no number spoils the filter until it starts anew: that it comes from counts is what
-        /// keeps it out. Then nothing of it is left.
+        /// A NaN or infinite sample stays in the state until a restart removes it completely. In operation samples
+        /// come from integer counts and are always finite.
         #[test]
-        fn a_restart_forgets_anything(before in prop::collection::vec([ANY, ANY, ANY], 0..5), x in -1000.0..1000.0_f32) {
+        fn restart_removes_any_state(before in prop::collection::vec([ANY, ANY, ANY], 0..5), x in -1000.0..1000.0_f32) {
             let c = Biquad::butterworth(30.0, 1000.0).unwrap();
             let [mut used, mut fresh] = [Prefilter::new(Some(c)); 2];
             for sample in before {
@@ -363,7 +369,7 @@ mod tests {
     }
 
     #[test]
-    fn restart_forgets() {
+    fn restart_starts_without_a_transient() {
         let mut filter = Prefilter::new(Some(Biquad::butterworth(30.0, 1000.0).unwrap()));
         filter.step(vec3(5.0, 5.0, 5.0));
         filter.restart();

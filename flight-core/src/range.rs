@@ -1,19 +1,19 @@
-//! Ranges of parameters, and the one error of all of them.
+//! Range check of parameters, and its error.
 
 use core::fmt;
 
 /// A parameter outside its range.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ConfigError {
-    /// Which one.
+    /// Name of the parameter.
     pub field: &'static str,
-    /// What it was.
+    /// Rejected value.
     pub value: f32,
-    /// Smallest allowed value.
+    /// Lower end of the range.
     pub minimum: f32,
-    /// Largest allowed value.
+    /// Upper end of the range.
     pub maximum: f32,
-    /// Whether the two ends themselves are refused.
+    /// Whether the two ends are outside the range.
     pub exclusive: bool,
 }
 
@@ -30,7 +30,7 @@ impl fmt::Display for ConfigError {
 
 impl core::error::Error for ConfigError {}
 
-/// Whether `value` is within `minimum..=maximum`; NaN is not.
+/// Checks that `value` is within `minimum..=maximum`. NaN is outside every range.
 pub(crate) fn check(field: &'static str, value: f32, minimum: f32, maximum: f32) -> Result<(), ConfigError> {
     if value >= minimum && value <= maximum {
         Ok(())
@@ -47,12 +47,12 @@ mod tests {
     use std::format;
 
     proptest! {
-        /// Whatever is compared with whatever range: what is let through is a number in it.
+        /// For any value and any range, the check accepts exactly the values inside the range.
         #[test]
-        fn what_is_checked_is_within(value in ANY, a in ANY, b in ANY, inside in 0.0..=1.0_f32) {
-            let answer = check("field", value, a, b);
-            prop_assert_eq!(answer.is_ok(), (a..=b).contains(&value));
-            if let Err(error) = answer {
+        fn only_values_inside_the_range_pass(value in ANY, a in ANY, b in ANY, inside in 0.0..=1.0_f32) {
+            let result = check("field", value, a, b);
+            prop_assert_eq!(result.is_ok(), (a..=b).contains(&value));
+            if let Err(error) = result {
                 prop_assert_eq!((error.field, error.value.to_bits(), error.exclusive), ("field", value.to_bits(), false));
                 prop_assert_eq!((error.minimum.to_bits(), error.maximum.to_bits()), (a.to_bits(), b.to_bits()));
             }
@@ -64,7 +64,7 @@ mod tests {
     }
 
     #[test]
-    fn an_error_says_what_would_be_right() {
+    fn error_text_names_field_value_and_range() {
         let error = check("imu_rate_hz", 5.0, 10.0, 32_000.0).unwrap_err();
         assert_eq!(format!("{error}"), "imu_rate_hz = 5: must be from 10 to 32000");
         let error = ConfigError { exclusive: true, ..error };

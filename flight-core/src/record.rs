@@ -1,27 +1,36 @@
-//! One step as words: what the flight controller was given, and what it answered.
+//! One step of the flight controller as words: its input and its result.
 //!
-//! The firmware keeps the last step in RAM at the symbol `FLIGHT_RECORD` (`firmware/src/recorder.rs`), where a debug
-//! probe or an emulator reads it, also after a crash. Numbers travel as their bits: what is read is exactly what the
-//! flight controller saw, and a host that steps its own flight controller with it gets the same bits.
+//! The firmware keeps the last step in RAM at the symbol `FLIGHT_RECORD` (`firmware/src/recorder.rs`). A debug probe
+//! or an emulator can read it there, also after a crash. Floating-point numbers are stored as their bits, so a reader
+//! gets exactly the input of the flight controller. A host that runs its own flight controller on this input gets the
+//! same bits.
 //!
 //! | word | bits 0 to 7 | 8 to 15 | 16 to 23 | 24 to 31 |
 //! |---|---|---|---|---|
 //! | 0 | [`VERSION`] | flags, low | flags, high | link status |
-//! | 1, 2 | time, µs: low word, high word | | | |
-//! | 3 to 5 | gyroscope x, y, z, accelerometer x, y, z: | two of them | in each word, | the first one low |
-//! | 6, 7 | magnetometer x, y | z, zero | | |
-//! | 8 to 10 | throttle, roll | pitch, yaw | arm switch, mode switch | |
-//! | 11 | battery, V | | | |
+//! | 1, 2 | time, µs: low word, then high word | | | |
+//! | 3 | gyroscope x | | gyroscope y | |
+//! | 4 | gyroscope z | | accelerometer x | |
+//! | 5 | accelerometer y | | accelerometer z | |
+//! | 6 | magnetometer x | | magnetometer y | |
+//! | 7 | magnetometer z | | zero | |
+//! | 8 | throttle | | roll | |
+//! | 9 | pitch | | yaw | |
+//! | 10 | arm switch | | mode switch | |
+//! | 11 | battery voltage, V | | | |
 //! | 12 | missed deadlines | | | |
 //! | 13 to 16 | pulses of rotors 1 to 4, µs | | | |
 //! | 17 | state | event: from | to | cause |
 //! | 18 to 21 | attitude w, x, y, z | | | |
 //!
-//! Flags, from bit 8 of word 0: there is an inertial sample, a magnetometer sample, a receiver frame, a battery, an
-//! event; the motors were driven; USB, maintenance, reset by the watchdog. What is not there, and what has no field,
-//! is zero.
+//! Items of 16 bits take two columns. Sensor and stick values are in counts and ticks, voltage, pulses and attitude
+//! are `f32`.
 //!
-//! A bench command is not in it: no board takes one.
+//! Flags, from bit 8 of word 0 upward: inertial sample present, magnetometer sample present, receiver frame present,
+//! battery measurement present, event present, motors driven, USB plugged in, maintenance requested, reset by the
+//! watchdog. Words and bits of an absent item, and unassigned bits, are zero.
+//!
+//! Bench commands are not recorded, because no board accepts them.
 
 use core::fmt;
 
@@ -29,10 +38,10 @@ use crate::arming::{ArmState, Cause, Event};
 use crate::geometry::{Quaternion, vec3};
 use crate::sample::{Battery, Health, ImuSample, Input, LinkStatus, MagSample, RcFrame};
 
-/// Words of a record.
+/// Number of words of a record.
 pub const WORDS: usize = 22;
 
-/// Version of their layout. Zero is none: memory that was never written is no record.
+/// Version of the layout. Zero is not a version, so memory that was never written is no record.
 pub const VERSION: u8 = 1;
 
 const IMU: u32 = 1 << 8;
@@ -60,37 +69,37 @@ pub struct StepRecord {
     pub battery: Option<Battery>,
     /// [`Input::health`].
     pub health: Health,
-    /// What came of it.
+    /// Result of the step.
     pub outcome: Outcome,
 }
 
-/// What came of a step.
+/// The result of a step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Outcome {
-    /// The flight controller gave a permit, and the pulses went out with it.
+    /// Whether the flight controller issued a permit and the pulses were sent.
     pub driven: bool,
-    /// The flight controller's pulses of rotors 1 to 4, µs.
+    /// Pulses of the flight controller for rotors 1 to 4, µs.
     pub pulses_us: [f32; 4],
-    /// The arm state after the step.
+    /// Arm state after the step.
     pub state: ArmState,
-    /// What happened to it, if anything did.
+    /// Change of the arm state, or a refusal, in this step.
     pub event: Option<Event>,
-    /// The attitude after the step.
+    /// Attitude after the step, body to world.
     pub attitude: Quaternion<f32>,
 }
 
-/// Why words are no record.
+/// The reason why words are not a valid record.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum RecordError {
-    /// The layout has another version. 0: nothing has been recorded yet.
+    /// The layout has another version. 0 means that no step has been recorded yet.
     Version(u8),
-    /// There is no arm state of this number.
+    /// No arm state has this code.
     State(u8),
-    /// There is no cause of this number.
+    /// No cause has this code.
     Cause(u8),
-    /// There is no link status of this number.
+    /// No link status has this code.
     LinkStatus(u8),
-    /// A bit is set that belongs to no field, or to one that is not there.
+    /// A bit is set that is unassigned or belongs to an absent item.
     Unused,
 }
 
@@ -98,11 +107,11 @@ impl fmt::Display for RecordError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Version(0) => write!(f, "no step has been recorded"),
-            Self::Version(version) => write!(f, "version {version} of the record, and this is {VERSION}"),
-            Self::State(code) => write!(f, "no arm state has the number {code}"),
-            Self::Cause(code) => write!(f, "no cause has the number {code}"),
-            Self::LinkStatus(code) => write!(f, "no link status has the number {code}"),
-            Self::Unused => write!(f, "a bit is set that belongs to no field"),
+            Self::Version(version) => write!(f, "record version {version}: must be {VERSION}"),
+            Self::State(code) => write!(f, "arm state {code}: no such code"),
+            Self::Cause(code) => write!(f, "cause {code}: no such code"),
+            Self::LinkStatus(code) => write!(f, "link status {code}: no such code"),
+            Self::Unused => write!(f, "a bit is set that belongs to no field of this record"),
         }
     }
 }
@@ -110,20 +119,20 @@ impl fmt::Display for RecordError {
 impl core::error::Error for RecordError {}
 
 impl StepRecord {
-    /// What a step was given, and what came of it.
+    /// Creates a record from the input and the result of a step.
     #[inline(always)]
     pub fn new(input: &Input, outcome: &Outcome) -> Self {
         let Input { time_us, imu, mag, rc, battery, bench: _, health } = *input;
         Self { time_us, imu, mag, rc, battery, health, outcome: *outcome }
     }
 
-    /// What the flight controller was given.
+    /// Returns the input of the flight controller, without a bench command.
     pub fn input(&self) -> Input {
         let Self { time_us, imu, mag, rc, battery, health, .. } = *self;
         Input { time_us, imu, mag, rc, battery, bench: None, health }
     }
 
-    /// The record as words.
+    /// Encodes the record into words.
     #[inline(always)]
     pub fn to_words(&self) -> [u32; WORDS] {
         let Outcome { driven, pulses_us, state, event, attitude } = self.outcome;
@@ -180,10 +189,11 @@ impl StepRecord {
         ]
     }
 
-    /// The record of words: every record's own words give that record, bit for bit, and no other words give any.
+    /// Decodes a record from words. Decoding the words of a record returns that record bit for bit; all other words
+    /// are rejected.
     ///
     /// # Errors
-    /// Another version, a number that stands for nothing, or a bit that no field has.
+    /// Returns an error for another version, an unknown code, or a bit that is set outside the fields of this record.
     pub fn from_words(words: &[u32; WORDS]) -> Result<Self, RecordError> {
         let &[
             head,
@@ -327,7 +337,7 @@ mod tests {
 
     fn record() -> impl Strategy<Value = StepRecord> {
         let mag = any::<[i16; 3]>().prop_map(|counts| MagSample { counts });
-        let given = (
+        let input = (
             any::<u64>(),
             prop::option::of(imu()),
             prop::option::of(mag),
@@ -335,14 +345,14 @@ mod tests {
             prop::option::of(ANY.prop_map(|voltage_v| Battery { voltage_v })),
             health(),
         );
-        let answered = (
+        let outcome = (
             any::<bool>(),
             prop::array::uniform4(ANY),
             state(),
             prop::option::of(event()),
             prop::array::uniform4(ANY),
         );
-        (given, answered).prop_map(
+        (input, outcome).prop_map(
             |((time_us, imu, mag, rc, battery, health), (driven, pulses_us, state, event, [w, x, y, z]))| {
                 let input = Input { time_us, imu, mag, rc, battery, bench: None, health };
                 let attitude = Quaternion { w, v: vec3(x, y, z) };
@@ -351,7 +361,7 @@ mod tests {
         )
     }
 
-    /// The record with its numbers as bits, so that NaNs compare.
+    /// The record with its numbers as bits, so that NaNs compare as equal.
     fn bits(record: &StepRecord) -> impl PartialEq + fmt::Debug {
         let StepRecord { time_us, imu, mag, rc, battery, health, outcome } = *record;
         let Outcome { driven, pulses_us, state, event, attitude } = outcome;
@@ -364,7 +374,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn words_give_the_record_back_bit_for_bit(record in record()) {
+        fn words_decode_to_the_same_record_bit_for_bit(record in record()) {
             let words = record.to_words();
             let back = StepRecord::from_words(&words);
             prop_assert_eq!(back.as_ref().map(bits), Ok(bits(&record)));
@@ -372,9 +382,9 @@ mod tests {
             prop_assert_eq!(bits(&again), bits(&record));
         }
 
-        /// Whatever memory holds: a record has its own words and no others.
+        /// Any memory content either is the encoding of exactly one record or is rejected.
         #[test]
-        fn any_words_are_a_records_own_or_refused(
+        fn corrupt_words_are_rejected_or_encode_a_record(
             record in record(),
             changes in prop::collection::vec((0..WORDS, any::<u32>()), 0..4),
             flips in prop::collection::vec((0..WORDS, 0..u32::BITS), 0..4),
@@ -393,7 +403,7 @@ mod tests {
     }
 
     #[test]
-    fn codes_are_places_in_the_lists() {
+    fn codes_are_indices_into_the_lists() {
         for (code, state) in ArmState::ALL.into_iter().enumerate() {
             assert_eq!(state as usize, code);
         }
@@ -406,7 +416,7 @@ mod tests {
     }
 
     #[test]
-    fn version_1_of_the_layout_is_what_it_was() {
+    fn version_1_layout_is_unchanged() {
         let record = StepRecord {
             time_us: 0x0102_0304_0506_0708,
             imu: Some(ImuSample { gyro: [1, -2, 3], accel: [-4, 5, i16::MIN] }),
@@ -460,7 +470,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_record_is_refused_by_name() {
+    fn invalid_words_are_rejected_with_the_reason() {
         let outcome = Outcome {
             driven: false,
             pulses_us: [1000.0; 4],
@@ -481,16 +491,16 @@ mod tests {
             (RecordError::Version(0), "no step has been recorded")
         );
         for (word, value, error) in [
-            (0, 2, "version 3 of the record, and this is 1"),
-            (0, 3 << 24, "no link status has the number 3"),
-            (0, 1 << 24, "a bit is set that belongs to no field"),
-            (0, 1 << 17, "a bit is set that belongs to no field"),
-            (3, 1, "a bit is set that belongs to no field"),
-            (17, 7, "no arm state has the number 7"),
-            (17, 7 << 8, "no arm state has the number 7"),
-            (17, 7 << 16, "no arm state has the number 7"),
-            (17, 23 << 24, "no cause has the number 23"),
-            (17, 1 << 16, "a bit is set that belongs to no field"),
+            (0, 2, "record version 3: must be 1"),
+            (0, 3 << 24, "link status 3: no such code"),
+            (0, 1 << 24, "a bit is set that belongs to no field of this record"),
+            (0, 1 << 17, "a bit is set that belongs to no field of this record"),
+            (3, 1, "a bit is set that belongs to no field of this record"),
+            (17, 7, "arm state 7: no such code"),
+            (17, 7 << 8, "arm state 7: no such code"),
+            (17, 7 << 16, "arm state 7: no such code"),
+            (17, 23 << 24, "cause 23: no such code"),
+            (17, 1 << 16, "a bit is set that belongs to no field of this record"),
         ] {
             assert_eq!(changed(word, value), Err(error.into()), "word {word}, {value:#x}");
         }

@@ -1,42 +1,42 @@
-//! What goes into one step of the flight controller, and what comes out.
+//! Inputs and outputs of one step of the flight controller.
 
 use crate::arming::{ArmState, Event, MotorPermit};
 
-/// Everything that arrived since the last step. A sensor that brought nothing new is `None`.
+/// All data that has arrived since the last step. A sensor without new data is `None`.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Input {
-    /// Time of this step, µs since start, from the data-ready capture or the simulator's frame. The only
-    /// clock there is.
+    /// Time of this step since start, µs: from the data-ready capture on the board, from the simulator on the host.
+    /// The flight controller has no other clock.
     pub time_us: u64,
-    /// Gyroscope and accelerometer.
+    /// Sample of gyroscope and accelerometer.
     pub imu: Option<ImuSample>,
-    /// Magnetometer.
+    /// Sample of the magnetometer.
     pub mag: Option<MagSample>,
-    /// Radio control.
+    /// Frame from the receiver.
     pub rc: Option<RcFrame>,
-    /// Supply.
+    /// Measurement of the battery.
     pub battery: Option<Battery>,
-    /// A motor to be turned on the bench.
+    /// Bench command.
     pub bench: Option<BenchCommand>,
-    /// What the board knows about itself.
+    /// State of the board.
     pub health: Health,
 }
 
-/// Raw counts of the inertial sensor, in the chip's own axes.
+/// Counts of the inertial sensor, in the axes of the chip.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct ImuSample {
-    /// Angular rate about the chip's x, y, z.
+    /// Angular rate about x, y, z of the chip, counts.
     pub gyro: [i16; 3],
-    /// Specific force along the chip's x, y, z.
+    /// Specific force along x, y, z of the chip, counts.
     pub accel: [i16; 3],
 }
 
-/// Raw counts of the magnetometer, in the chip's own axes.
+/// Counts of the magnetometer, in the axes of the chip.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct MagSample {
-    /// Field along the chip's x, y, z.
+    /// Magnetic field along x, y, z of the chip, counts.
     pub counts: [i16; 3],
 }
 
@@ -44,41 +44,42 @@ pub struct MagSample {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct RcFrame {
-    /// Throttle, roll, pitch, yaw in the 11-bit ticks of SBUS and CRSF: 172 to 1811, centre 992.
+    /// Throttle, roll, pitch and yaw in the 11-bit ticks of SBUS and CRSF: 172 to 1811, centre 992.
     pub channels: [u16; 4],
-    /// Arm switch, ticks.
+    /// Arm switch, in the same ticks.
     pub arm_switch: u16,
-    /// Mode switch, ticks.
+    /// Mode switch, in the same ticks.
     pub mode_switch: u16,
-    /// What the receiver says of its link.
+    /// State of the link as the receiver reports it.
     pub status: LinkStatus,
 }
 
-/// What a receiver says of its link to the transmitter. The numbers are codes in a
-/// [`StepRecord`](crate::record::StepRecord), and do not change.
+/// State of the link between receiver and transmitter, as the receiver reports it. The discriminants are codes in a
+/// [`StepRecord`](crate::record::StepRecord) and never change.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 #[repr(u8)]
 pub enum LinkStatus {
-    /// The frame is the pilot's.
+    /// The frame carries new channels from the pilot.
     #[default]
     Good = 0,
-    /// The receiver missed one, and repeats the last.
+    /// The receiver has missed a frame and repeats the last channels.
     FrameLost = 1,
-    /// The receiver has lost the transmitter, and makes the channels up.
+    /// The receiver has lost the transmitter and sends substitute channels.
     Failsafe = 2,
 }
 
-/// Turn one motor on the bench. Each one is a heartbeat too: without the next the motor stops.
+/// Command to turn one motor on the bench. Each command is also a heartbeat: the motor stops unless another one
+/// follows within [`BENCH_SILENT_US`](crate::bench::BENCH_SILENT_US).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BenchCommand {
-    /// Which: 1 to 4.
+    /// Number of the rotor, 1 to 4.
     pub rotor: u8,
-    /// Share of the rotor's largest thrust, 0 to 1.
+    /// Share of the maximum thrust of the rotor, 0 to 1.
     pub thrust: f32,
 }
 
-/// State of the supply.
+/// State of the battery.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct Battery {
@@ -86,28 +87,28 @@ pub struct Battery {
     pub voltage_v: f32,
 }
 
-/// What the board knows about itself.
+/// State of the board.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Health {
-    /// USB is plugged in.
+    /// Whether USB is plugged in.
     pub usb: bool,
-    /// Somebody wants to erase flash, and waits for [`ArmState::Maintenance`].
+    /// Whether a request to erase flash is waiting for [`ArmState::Maintenance`].
     pub maintenance: bool,
-    /// The watchdog caused the last reset.
+    /// Whether the watchdog caused the last reset.
     pub watchdog_reset: bool,
-    /// Deadlines that the board's tasks have missed since start.
+    /// Number of deadlines that the tasks have missed since start.
     pub missed_deadlines: u32,
 }
 
 /// The result of one step.
 #[derive(Debug)]
 pub struct Output {
-    /// The key to the motors: without it the board may only send the stop pulse.
+    /// Permission to drive the motors. Without it the board may only send the stop pulse.
     pub permit: Option<MotorPermit>,
-    /// ESC pulses of rotors 1 to 4, µs. The stop pulse when there is no permit.
+    /// ESC pulses of rotors 1 to 4, µs: the stop pulse unless the arm state lets a motor turn.
     pub pulses_us: [f32; 4],
-    /// Whether the motors may turn.
+    /// Arm state after the step.
     pub state: ArmState,
-    /// What happened to the arm state in this step, if anything did.
+    /// Change of the arm state, or a refusal, in this step.
     pub event: Option<Event>,
 }

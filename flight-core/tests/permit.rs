@@ -1,8 +1,8 @@
-//! Nobody but the arming table can make a [`flight_core::MotorPermit`], keep one, or use one twice: what tries
-//! does not compile.
+//! Compile-fail tests: code outside the arming module cannot construct, copy, inspect or reuse a
+//! [`flight_core::MotorPermit`].
 
 #[test]
 #[cfg_attr(miri, ignore = "runs the compiler")]
-fn there_is_no_other_way_to_a_permit() {
-    trybuild::TestCases::new().compile_fail("tests/no_other_permit/*.rs");
+fn misuse_of_a_permit_does_not_compile() {
+    trybuild::TestCases::new().compile_fail("tests/permit_misuse/*.rs");
 }

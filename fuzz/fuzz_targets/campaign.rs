@@ -1,6 +1,6 @@
-//! The results of a campaign: its parts, parted by zero bytes.
+//! Fuzzes the result files of a campaign. The input is the shards' files, separated by zero bytes.
 //!
-//! Parts that make a whole are the same when they are written and read again, and can be summed up.
+//! Shards that merge are the same after they are written and read again, and can be summarised.
 #![no_main]
 
 use std::io;
@@ -10,17 +10,17 @@ use libfuzzer_sys::fuzz_target;
 use sim_host::campaign::{Summary, merge_with, to_csv};
 
 fuzz_target!(|data: &[u8]| {
-    let parts: Vec<&[u8]> = data.split(|byte| *byte == 0).collect();
-    let paths: Vec<PathBuf> = (0..parts.len()).map(|n| n.to_string().into()).collect();
+    let shards: Vec<&[u8]> = data.split(|byte| *byte == 0).collect();
+    let paths: Vec<PathBuf> = (0..shards.len()).map(|n| n.to_string().into()).collect();
     let open = |path: &Path| {
         let place = paths.iter().position(|other| other == path).ok_or(io::ErrorKind::NotFound)?;
-        Ok::<&[u8], io::Error>(parts[place])
+        Ok::<&[u8], io::Error>(shards[place])
     };
     let (campaign, runs) = match merge_with(&paths, open) {
-        Ok(whole) => whole,
+        Ok(merged) => merged,
         Err(error) => {
-            let said = error.to_string();
-            assert!(!said.is_empty() && !said.contains('\n'), "{said:?}");
+            let message = error.to_string();
+            assert!(!message.is_empty() && !message.contains('\n'), "{message:?}");
             return;
         }
     };
@@ -28,7 +28,7 @@ fuzz_target!(|data: &[u8]| {
     assert!(runs.iter().zip(0..).all(|(run, number)| run.number == number));
     let text = to_csv(&campaign, &runs).unwrap();
     let (same, again) = merge_with(&paths[..1], |_| Ok(text.as_slice())).unwrap();
-    // As text: a figure that is no number is not equal to itself.
+    // Compared as text, because NaN is not equal to itself.
     assert_eq!(format!("{same:?} {again:?}"), format!("{campaign:?} {runs:?}"));
     let summary = Summary::new(&campaign, &runs);
     assert_eq!(summary.to_json()["runs"].as_array().map(Vec::len), Some(runs.len()));

@@ -1,6 +1,7 @@
-//! The sensors' drivers at a bus that says anything, and at chips to which anything has been done.
+//! Fuzzes the sensors' drivers with a bus that delivers arbitrary bytes, and with chips that were written to
+//! arbitrarily.
 //!
-//! A sample is what the bytes were. A whole chip can be set up whatever was written to it before.
+//! A decoded sample equals the bytes. A working chip can be set up whatever was written to it before.
 #![no_main]
 
 use std::cell::RefCell;
@@ -17,7 +18,7 @@ use flight_core::sample::{ImuSample, MagSample};
 use libfuzzer_sys::fuzz_target;
 use sim_host::chips::{Clock, icm42688p as imu_chip, qmc5883l as mag_chip};
 
-/// A bus that reads the input, and then zeros; what it gave last stays to be seen.
+/// A bus that delivers the input and then zeros. `last` keeps the bytes of the last read.
 struct Bus<'a> {
     bytes: &'a [u8],
     last: Rc<RefCell<Vec<u8>>>,
@@ -99,11 +100,13 @@ fn imu_frame(frame: &icm42688p::Frame) {
 
 fn mag_samples(bytes: &[u8]) {
     let _ = Qmc5883l::new(Bus::new(bytes), &mut Clock::default());
-    // What the set-up wants to read: the identity, and the settings as they were written.
-    let whole = [&[0xff, 0x01, 0b00_01_10_01], bytes].concat();
-    let bus = Bus::new(&whole);
+    // What the setup expects to read: the identity, and the settings as they were written.
+    let setup_then_input = [&[0xff, 0x01, 0b00_01_10_01], bytes].concat();
+    let bus = Bus::new(&setup_then_input);
     let last = Rc::clone(&bus.last);
-    let Ok(mut mag) = Qmc5883l::new(bus, &mut Clock::default()) else { panic!("what it wants to read") };
+    let Ok(mut mag) = Qmc5883l::new(bus, &mut Clock::default()) else {
+        panic!("the setup fails with the expected bytes")
+    };
     for _ in 0..=bytes.len() / 4 {
         if let Ok(Some(sample)) | Err(SampleError::Skipped(sample)) = mag.sample() {
             let again: Vec<u8> = sample.counts.iter().flat_map(|counts| counts.to_le_bytes()).collect();
@@ -112,7 +115,7 @@ fn mag_samples(bytes: &[u8]) {
     }
 }
 
-/// Writes, reads and pauses as the bytes say, and then a driver.
+/// Writes, reads and pauses as the bytes specify, then sets up a driver.
 fn abused_imu(bytes: &[u8]) {
     let mut clock = Clock::default();
     let truth = ImuSample { gyro: [1, -2, 3], accel: [-4, 5, -2_048] };
@@ -128,7 +131,9 @@ fn abused_imu(bytes: &[u8]) {
     }
     let handle = chip.clone();
     let edges = || handle.data_ready_edges() as u32;
-    let Ok(mut imu) = Icm42688p::new(chip, &mut clock, edges) else { panic!("a whole chip") };
+    let Ok(mut imu) = Icm42688p::new(chip, &mut clock, edges) else {
+        panic!("the setup of a working chip fails")
+    };
     clock.delay_ms(2);
     assert_eq!(icm42688p::decode(&imu.read_frame().unwrap(), false), Ok(truth));
 }
@@ -141,7 +146,7 @@ fn abused_mag(bytes: &[u8]) {
     while let Some(kind) = rest.next() {
         let buffer: Vec<u8> = rest.by_ref().take(usize::from(kind >> 4)).copied().collect();
         let mut read = [0; 16];
-        // A chip that is not ready, or not asked, does not answer: that is no matter here.
+        // A chip that is not ready or not addressed does not answer; the error does not matter here.
         let _ = match kind % 4 {
             0 => {
                 clock.delay_ns(u32::from(*kind) * 40_000);
@@ -152,7 +157,7 @@ fn abused_mag(bytes: &[u8]) {
             _ => chip.write_read(qmc5883l::ADDRESS, &buffer, &mut read[..usize::from(kind >> 4)]),
         };
     }
-    let Ok(mut mag) = Qmc5883l::new(chip, &mut clock) else { panic!("a whole chip") };
+    let Ok(mut mag) = Qmc5883l::new(chip, &mut clock) else { panic!("the setup of a working chip fails") };
     let found = iter::repeat_with(|| {
         clock.delay_ms(5);
         mag.sample()

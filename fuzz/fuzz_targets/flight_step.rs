@@ -1,8 +1,8 @@
-//! `FlightController::step` with any configuration and any input: what `tests/support/tests/any_input` flies at random,
-//! flown by what finds new paths.
+//! Fuzzes `FlightController::step` with any configuration and any input. The scripts are those that
+//! `tests/support/tests/any_input` generates at random; here libFuzzer searches for new paths.
 //!
-//! No NaN and no infinity leaves, or stays inside; no motor turns without a permit; and the rest that
-//! `test_support::invariants` checks in every step.
+//! Checks the invariants of `test_support::invariants` in every step: among others, no output or state is NaN or
+//! infinite, and no motor turns without a permit.
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;
@@ -11,7 +11,7 @@ use test_support::script::{Bytes, Script};
 
 fuzz_target!(|bytes: &[u8]| {
     let script = Script::read(&mut Bytes::new(bytes));
-    if let Some(mut watched) = CheckedController::new(&script.config) {
-        script.fly(&mut watched);
+    if let Some(mut controller) = CheckedController::new(&script.config) {
+        script.fly(&mut controller);
     }
 });

@@ -1,7 +1,6 @@
-//! A firmware that answers anything: `sim-host` flies a scene over a link whose other end is the input.
+//! Fuzzes `sim-host hil` with arbitrary answers of the firmware: the other end of the link is the input.
 //!
-//! However it answers, the flight ends; its outcome is within its bounds, and the report counts no more than there
-//! was.
+//! For any answers the flight ends, its outcome is within its bounds, and the report counts no more than there was.
 #![no_main]
 
 use std::collections::VecDeque;
@@ -18,7 +17,7 @@ use sim_host::scene::Scene;
 
 static SCENE: LazyLock<Scene> = LazyLock::new(|| Scene::load("hover").expect("a built-in scene"));
 
-/// Bytes, and zeros behind them.
+/// A source of bytes, followed by endless zeros.
 struct Bytes<'a>(&'a [u8]);
 
 impl Bytes<'_> {
@@ -37,12 +36,12 @@ impl Bytes<'_> {
     }
 }
 
-/// The other end of the wire.
+/// The firmware at the other end of the wire.
 struct Firmware<'a> {
     script: Bytes<'a>,
     decoder: Decoder,
-    /// Number of the last question, and the time of the last step, µs.
-    asked: (u32, u64),
+    /// Sequence number of the last request, and the time of the last step, µs.
+    last_request: (u32, u64),
     answer: VecDeque<u8>,
 }
 
@@ -53,11 +52,11 @@ impl Firmware<'_> {
 
     fn done(&mut self) -> Done {
         let kind = self.script.u8();
-        // Mostly what a firmware answers, and now and then anything.
+        // Mostly what a firmware answers, sometimes anything.
         let mut number = |usual: f32| if kind & 1 == 0 { usual } else { self.script.f32() };
         let (pulses_us, attitude) = ([(); 4].map(|()| number(1_400.0)), [1.0, 0.0, 0.0, 0.0].map(number));
         Done {
-            time_us: if kind & 2 == 0 { self.asked.1 } else { u64::from(self.script.u32()) },
+            time_us: if kind & 2 == 0 { self.last_request.1 } else { u64::from(self.script.u32()) },
             state: if kind & 4 == 0 { ArmState::Armed } else { ArmState::Disarmed },
             event: None,
             driven: kind & 8 == 0,
@@ -69,20 +68,20 @@ impl Firmware<'_> {
         }
     }
 
-    /// What it says next; nothing when the script is at its end.
-    fn speak(&mut self) -> bool {
+    /// Queues the next answer. Returns `false` at the end of the script.
+    fn queue_answer(&mut self) -> bool {
         if self.script.0.is_empty() {
             return false;
         }
         let kind = self.script.u8();
-        let number = if kind & 0x80 == 0 { self.asked.0 } else { self.script.u32() };
+        let number = if kind & 0x80 == 0 { self.last_request.0 } else { self.script.u32() };
         let message = match kind % 8 {
             0 => ToHost::Ready(Started { watchdog_reset: kind & 0x40 != 0 }),
             1 => ToHost::Started,
             2 => ToHost::Refused,
             3 => ToHost::Bad(self.received()),
             4 => {
-                // No frame at all.
+                // Bytes that are not a frame.
                 let length = usize::from(self.script.u8()).min(self.script.0.len());
                 let (bytes, rest) = self.script.0.split_at(length);
                 self.answer.extend(bytes);
@@ -104,7 +103,7 @@ impl Read for Firmware<'_> {
             self.script.u8();
             return Err(io::ErrorKind::WouldBlock.into());
         }
-        while self.answer.is_empty() && self.speak() {}
+        while self.answer.is_empty() && self.queue_answer() {}
         self.answer.read(buffer)
     }
 }
@@ -113,11 +112,11 @@ impl Write for Firmware<'_> {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         for byte in bytes {
             let Some(found) = self.decoder.push(*byte) else { continue };
-            // Bits are flipped on the way; what is left whole is a message.
+            // Bits are flipped on the link; a frame that is still valid holds a message.
             let Ok(packet) = found else { continue };
-            self.asked.0 = packet.sequence;
+            self.last_request.0 = packet.sequence;
             match packet.message().expect("sim-host sends messages") {
-                ToBoard::Step(Step { time_us, .. }) => self.asked.1 = time_us,
+                ToBoard::Step(Step { time_us, .. }) => self.last_request.1 = time_us,
                 ToBoard::Start(config) => assert!(config == SCENE.config),
                 ToBoard::End => {}
             }
@@ -140,14 +139,14 @@ fuzz_target!(|data: &[u8]| {
     let mut script = Bytes(data);
     let faults = Faults {
         flip_bit_every: u32::from(script.u8()).try_into().ok(),
-        held_back_us: 20_000..20_000 + 1_000 * u64::from(script.u8() % 16),
+        dropped_us: 20_000..20_000 + 1_000 * u64::from(script.u8() % 16),
     };
     let mut firmware =
-        Firmware { script, decoder: Decoder::default(), asked: (0, 0), answer: VecDeque::new() };
+        Firmware { script, decoder: Decoder::default(), last_request: (0, 0), answer: VecDeque::new() };
     let stop = Arc::new(AtomicBool::new(false));
     let hil::Flown { outcome, report, ended } =
         hil::fly(&mut firmware, &SCENE, SCENE.seed, faults, stop, &mut ());
-    assert!(ended.is_err() || outcome.crash.is_some(), "a flight of 30 s on {} bytes", data.len());
+    assert!(ended.is_err() || outcome.crash.is_some(), "a flight of 30 s from {} bytes", data.len());
     assert!(report.unanswered <= report.frames + report.resets.len() as u64, "{report:?}");
     assert!(report.counted <= report.frames, "{report:?}");
     if let Err(error) = ended {

@@ -1,6 +1,6 @@
-//! A sensors' preset, and scenes that name one effect after another without a figure of their own.
+//! Fuzzes an IMU preset, with scenes that each name one effect without values of their own.
 //!
-//! A preset that is taken has converters, and every effect that it has all figures of can be flown.
+//! An accepted preset has converters. Every effect for which it has all values can be flown.
 #![no_main]
 
 mod short_flight;
@@ -16,8 +16,8 @@ fuzz_target!(|preset: &[u8]| -> Corpus {
     let bare = match parse(BARE) {
         Ok(scene) => scene,
         Err(error) => {
-            let said = error.to_string();
-            assert!(!said.is_empty() && !said.contains('\n'), "{said:?}");
+            let message = error.to_string();
+            assert!(!message.is_empty() && !message.contains('\n'), "{message:?}");
             return Corpus::Keep;
         }
     };

@@ -1,7 +1,7 @@
-//! A sensor log: a byte for the conventions of its axes, and CSV.
+//! Fuzzes a sensor log. The input is a byte for the conventions of its axes, then CSV.
 //!
-//! Every row that is taken is finite, within the range that the error messages give, and later than the one before;
-//! what was read, written and read again is the same; and the flight code's estimators stay finite over it.
+//! Every accepted row is finite, within the range that the error messages give, and later than the one before. Rows are
+//! the same after they are written and read again. The flight code's estimators stay finite over them.
 #![no_main]
 
 use std::fmt::Write as _;
@@ -46,7 +46,7 @@ fn read_again(rows: &[LogRow]) {
     }
     let again = LogReader::new(text.as_bytes(), "again.csv", Axes::default()).unwrap();
     let again: Vec<LogRow> = again.map(|row| row.unwrap_or_else(|error| panic!("{error}"))).collect();
-    // A reference is normalised again, and may move by its last place.
+    // A reference is normalised again and may change in its last digit.
     let plain = |row: &LogRow| LogRow { reference: row.reference.map(|_| [0.0; 4]), ..*row };
     assert!(again.iter().map(plain).eq(rows.iter().map(plain)), "{again:?} for {rows:?}");
 }

@@ -1,7 +1,7 @@
-//! A radio receiver's line: bytes at any time, damaged ones, and frames whose checksums are right.
+//! Fuzzes the line of an RC receiver: bytes at any time, damaged bytes, and frames with valid checksums.
 //!
-//! A frame that comes out is one that went in, bit for bit, as the protocols' other end writes it; counters only
-//! rise. The search for the protocol, which the firmware does, runs along.
+//! A decoded frame equals the bytes received, bit for bit, by an independent encoder. Counters only rise. The
+//! firmware's search for the protocol gets the same bytes.
 #![no_main]
 
 use flight_core::rc::ChannelMap;
@@ -10,23 +10,23 @@ use receiver::search::{Received, Search};
 use receiver::{Counts, Frame, Protocol, Receiver};
 use test_support::wire;
 
-/// Bytes behind which no frame looks back.
-const LONGEST: usize = 256;
+/// Number of bytes in which every frame lies.
+const MAX_FRAME_BYTES: usize = 256;
 
 struct Line {
     protocol: Protocol,
     receiver: Receiver,
     search: Search,
     time_us: u64,
-    /// What has come, a damaged byte too.
-    heard: Vec<u8>,
+    /// The bytes since the last damaged one.
+    bytes: Vec<u8>,
     counts: Counts,
 }
 
 impl Line {
     fn byte(&mut self, byte: u8, after_us: u64) {
         self.time_us = self.time_us.saturating_add(after_us);
-        self.heard.push(byte);
+        self.bytes.push(byte);
         self.search.next_line(self.time_us);
         self.search.push(Received::Byte(byte), self.time_us);
         let frame = self.receiver.push(byte, self.time_us);
@@ -35,46 +35,46 @@ impl Line {
         assert!(counts.bad >= self.counts.bad && counts.resyncs >= self.counts.resyncs, "{counts:?}");
         self.counts = counts;
         if let Some(frame) = frame {
-            self.judge(&frame);
+            self.check(&frame);
         }
     }
 
     fn damaged(&mut self, after_us: u64) {
         self.time_us = self.time_us.saturating_add(after_us);
-        // In no frame: no protocol has a header that a byte of this place could be.
-        self.heard.clear();
+        // A damaged byte is part of no frame, so the bytes before it are not needed any more.
+        self.bytes.clear();
         self.search.push(Received::Damaged, self.time_us);
         self.receiver.line_error(self.time_us);
         self.counts = self.receiver.counts();
     }
 
-    fn judge(&self, frame: &Frame) {
-        let recent = &self.heard[self.heard.len().saturating_sub(LONGEST)..];
+    fn check(&self, frame: &Frame) {
+        let recent = &self.bytes[self.bytes.len().saturating_sub(MAX_FRAME_BYTES)..];
         let packed = wire::pack(&frame.channels);
         match self.protocol {
             Protocol::Sbus => {
-                let [.., flags, footer] = recent else { panic!("a frame of no bytes") };
+                let [.., flags, footer] = recent else { panic!("a frame without bytes") };
                 assert!(recent.ends_with(&wire::sbus(&frame.channels, *flags, *footer)), "{frame:?}");
                 assert_eq!((frame.frame_lost, frame.failsafe), (flags & 4 != 0, flags & 8 != 0));
                 assert!(flags & 0xf0 == 0 && [0, 0x04, 0x14, 0x24, 0x34].contains(footer));
             }
             Protocol::Crsf => {
-                let whole = |at: &[u8]| {
+                let is_frame = |at: &[u8]| {
                     let [0xc8, length, 0x16, payload @ ..] = at else { return false };
                     let length = usize::from(*length);
                     payload.starts_with(&packed)
                         && (24..=62).contains(&length)
                         && at.get(1 + length) == Some(&wire::crc(&at[2..1 + length]))
                 };
-                // Not always at the end: a frame may be found in what another one was given up for.
-                assert!((0..recent.len()).any(|start| whole(&recent[start..])), "{frame:?}");
+                // Not always at the end: when the decoder gives up a frame, it may find another one in its bytes.
+                assert!((0..recent.len()).any(|start| is_frame(&recent[start..])), "{frame:?}");
             }
         }
         let rc = frame.to_rc(&ChannelMap::AETR);
         assert!(rc.channels.iter().all(|ticks| frame.channels.contains(ticks)), "{rc:?} of {frame:?}");
     }
 
-    /// The bytes of a frame, as the line brings them, behind a pause or not.
+    /// Sends the bytes of a frame, with or without a pause before them.
     fn frame(&mut self, bytes: &[u8], pause: bool) {
         let byte_us = wire::received_us(self.protocol, 0);
         for (n, byte) in bytes.iter().enumerate() {
@@ -85,8 +85,8 @@ impl Line {
 
 fuzz_target!(|data: &[u8]| {
     let mut rest = data;
-    let mut take = |most: usize| {
-        let (taken, left) = rest.split_at(most.min(rest.len()));
+    let mut take = |max: usize| {
+        let (taken, left) = rest.split_at(max.min(rest.len()));
         rest = left;
         taken
     };
@@ -96,7 +96,7 @@ fuzz_target!(|data: &[u8]| {
         receiver: Receiver::new(protocol),
         search: Search::new(ChannelMap::AETR),
         time_us: 0,
-        heard: Vec::new(),
+        bytes: Vec::new(),
         counts: Counts::default(),
     };
     while let [kind] = take(1) {

@@ -1,7 +1,7 @@
-//! A recording of a sensor at rest: a byte for what is said of its layout, and columns of numbers.
+//! Fuzzes a recording of a sensor at rest. The input is a byte that sets the layout options, then columns of numbers.
 //!
-//! What is read of it is finite and evenly sampled; its deviations have bounds around them; and the preset that
-//! comes of it is one that a scene takes.
+//! The samples read are finite and evenly spaced. Each deviation lies between its bounds. A scene accepts the preset
+//! that results.
 #![no_main]
 
 use allan::{Phase, Statistic, Taus};
@@ -10,16 +10,16 @@ use sim_host::identify::model::{Analysed, Provenance, Role, kalibr, preset};
 use sim_host::identify::recording::{Column, Layout, Recording};
 use sim_host::scene::Scene;
 
-/// Statistics over more than this are no parsing any more.
+/// Longer recordings are not analysed: that would test statistics instead of parsing.
 const MAX_SAMPLES: usize = 400;
 
 const BARE: &str = "[scene]\nduration_s = 1.0\nseed = 1\nvehicle = \"os4\"\nimu = \"my-imu.toml\"\n";
 
 fuzz_target!(|data: &[u8]| {
-    let (said, bytes) = data.split_first().unwrap_or((&0, &[]));
+    let (options, bytes) = data.split_first().unwrap_or((&0, &[]));
     let layout = Layout {
-        separator: [None, Some(b','), Some(b';'), Some(b'\t')][usize::from(said & 3)],
-        header: [None, None, Some(true), Some(false)][usize::from(said >> 2 & 3)],
+        separator: [None, Some(b','), Some(b';'), Some(b'\t')][usize::from(options & 3)],
+        header: [None, None, Some(true), Some(false)][usize::from(options >> 2 & 3)],
     };
     let found = Recording::of(bytes.to_vec(), bytes.len() as u64, "log.csv", layout);
     let Ok(recording) = found else { return };
@@ -27,7 +27,7 @@ fuzz_target!(|data: &[u8]| {
     assert!(!names.is_empty() && recording.columns_at_once() > 0);
     let time = names.iter().position(|name| name == "time_s");
     let mut analysed = Vec::new();
-    // One at a time, so that one that is refused hides no other.
+    // One column at a time, so that a refused column does not hide the others.
     for (place, name) in names.iter().enumerate().filter(|(place, _)| Some(*place) != time) {
         let Ok(contents) = recording.read(&[(place, name.clone())], time, None, &|_| ()) else { continue };
         let interval_s = contents.stamps.map_or(0.01, |stamps| stamps.interval_s);
@@ -44,10 +44,10 @@ fuzz_target!(|data: &[u8]| {
     let _ = kalibr(&analysed, &provenance);
     if let Ok(text) = preset(&analysed, &provenance) {
         let taken = Scene::parse_with("scene.toml", BARE, &|_| Ok(text.clone()));
-        // Figures beyond what an effect's table takes are refused there, by name; anything else is a broken file.
+        // The scene refuses values out of an effect's range, by name. Any other error means a broken preset.
         if let Err(error) = taken {
-            let said = error.to_string();
-            assert!(said.contains(": must be from "), "{said} of\n{text}");
+            let message = error.to_string();
+            assert!(message.contains(": must be from "), "{message} of\n{text}");
         }
     }
 });

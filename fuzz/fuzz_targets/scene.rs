@@ -1,7 +1,7 @@
-//! A scene, the file that it includes, and its sensors' preset: three texts, parted by zero bytes.
+//! Fuzzes a scene, the file that it includes, and its IMU preset: three texts, separated by zero bytes.
 //!
-//! What is refused is refused in one line. What is taken names each effect once, can do without any of them, draws
-//! finite vehicles, and flies: twice the same way.
+//! A refusal is one line. An accepted scene names each effect once, can be flown without any one of them, draws finite
+//! vehicles, and flies the same flight twice.
 #![no_main]
 
 mod short_flight;
@@ -20,18 +20,18 @@ fuzz_target!(|data: &[u8]| -> Corpus {
     let scene = match Scene::parse_with("scene.toml", scene, &read) {
         Ok(scene) => scene,
         Err(error) => {
-            let said = error.to_string();
-            assert!(!said.is_empty() && !said.contains('\n'), "{said:?}");
+            let message = error.to_string();
+            assert!(!message.is_empty() && !message.contains('\n'), "{message:?}");
             return Corpus::Keep;
         }
     };
     let named = scene.effects();
     for effect in &named {
         assert!(!scene.left_out().contains(effect), "{effect} is named and left out");
-        let without = scene.without(effect).expect("a scene can do without an effect of its own");
+        let without = scene.without(effect).expect("a scene without one of its effects");
         assert_eq!(without.effects().len() + 1, named.len());
     }
-    let (_, drawn) = scene.of_run(scene.seed);
+    let (_, drawn) = scene.for_run(scene.seed);
     assert!(drawn.iter().all(|(_, value)| value.is_finite()), "{drawn:?}");
     assert_eq!(short_flight::fly(&scene, 120), short_flight::fly(&scene, 120));
     Corpus::Keep

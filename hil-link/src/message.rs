@@ -1,4 +1,4 @@
-//! The messages.
+//! The messages in both directions.
 
 use flight_core::ArmState;
 use flight_core::Config;
@@ -6,86 +6,85 @@ use flight_core::arming::Event;
 use flight_core::sample::{Battery, ImuSample, MagSample, RcFrame};
 use serde::{Deserialize, Serialize};
 
-/// From `sim-host` to the firmware.
+/// A message from `sim-host` to the firmware.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[allow(clippy::large_enum_variant)] // there is one of them at a time, and no heap to box it in
+#[allow(clippy::large_enum_variant)] // only one exists at a time, and there is no heap for a box
 pub enum ToBoard {
-    /// Be this flight controller from now on.
+    /// Builds the flight controller with this configuration.
     Start(Config),
-    /// A step of the flight.
+    /// Runs a step of the flight.
     Step(Step),
-    /// The flight is over.
+    /// Ends the flight.
     End,
 }
 
-/// What arrives in a step. The firmware's own drivers stand in for the sensors' bytes: the counts go through the
-/// same decoding as a chip's.
+/// The input of a step. The counts go through the same decoding as the bytes of a real chip.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Step {
     /// Time of the step, µs.
     pub time_us: u64,
-    /// Gyroscope and accelerometer; `None`: no sample came.
+    /// Sample of gyroscope and accelerometer; `None` if no sample arrived.
     pub imu: Option<ImuSample>,
-    /// Magnetometer.
+    /// Sample of the magnetometer, if one arrived.
     pub mag: Option<MagSample>,
-    /// Receiver.
+    /// Frame of the receiver, if one arrived.
     pub rc: Option<RcFrame>,
-    /// Supply.
+    /// Reading of the battery, if there is one.
     pub battery: Option<Battery>,
 }
 
-/// From the firmware to `sim-host`.
+/// A message from the firmware to `sim-host`.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub enum ToHost {
     /// The firmware has started, and waits for [`ToBoard::Start`].
     Ready(Started),
-    /// It is the flight controller that it was told to be.
+    /// The flight controller is built with the configuration of [`ToBoard::Start`].
     Started,
-    /// A configuration that no flight controller can be built from.
+    /// The flight controller rejects the configuration of [`ToBoard::Start`].
     Refused,
     /// A step is done.
     Done(Done),
-    /// What came was no frame; nothing was done.
+    /// The received bytes are not a frame; no step was done.
     Bad(Received),
 }
 
-/// How the firmware came to start.
+/// The reason why the firmware started.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Started {
-    /// It was reset by its watchdog.
+    /// Whether the watchdog reset the firmware.
     pub watchdog_reset: bool,
 }
 
-/// What came of a step.
+/// The result of a step.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Done {
     /// [`Step::time_us`] of the step.
     pub time_us: u64,
-    /// The arm state.
+    /// Arm state after the step.
     pub state: ArmState,
-    /// Its change or the refusal in this step.
+    /// Change of the arm state, or refusal to arm, in this step.
     pub event: Option<Event>,
     /// Whether the motors were permitted to turn.
     pub driven: bool,
-    /// What went out to the motors, rotors 1 to 4, µs.
+    /// Pulses sent to rotors 1 to 4, µs.
     pub pulses_us: [f32; 4],
-    /// The estimated attitude, w, x, y, z.
+    /// Estimated attitude: w, x, y, z.
     pub attitude: [f32; 4],
-    /// Instructions from the sample's arrival to the motors' last compare value; 0 where nobody counts them.
+    /// Instructions from the sample's arrival to the motors' last compare value; 0 if they are not counted.
     pub instructions: u32,
-    /// Deadlines that the firmware's tasks have missed since it started.
+    /// Number of deadlines that the firmware's tasks have missed since the start.
     pub missed_deadlines: u32,
-    /// What came over the link.
+    /// Errors on the link.
     pub received: Received,
 }
 
-/// What has come over the link since the start.
+/// Errors on the link since the start.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Received {
-    /// Frames that were damaged.
+    /// Number of damaged frames.
     pub corrupt: u32,
-    /// Frames that are missing in the sequence.
+    /// Number of frames that are missing in the sequence.
     pub lost: u32,
-    /// Frames that came again, or out of order, and were not stepped again.
+    /// Number of frames that were repeated or out of order; they caused no step.
     pub repeated: u32,
 }

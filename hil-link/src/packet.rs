@@ -1,4 +1,4 @@
-//! Packets in frames.
+//! Encoding and decoding of packets and frames.
 
 use core::fmt;
 
@@ -7,27 +7,27 @@ use serde::{Deserialize, Serialize};
 
 use crate::VERSION;
 
-/// Sixteen entries of table: a fourth of the speed of 256, and a sixteenth of their flash.
+/// The CRC with a table of 16 entries: a fourth of the speed of a table with 256 entries, and a sixteenth of its flash.
 const CRC: Crc<u32, Table<1>> = Crc::<u32, Table<1>>::new(&CRC_32_ISO_HDLC);
 
-/// Version, length, sequence number.
+/// Length of version (1), length (2) and sequence number (4), bytes.
 const HEADER: usize = 7;
-/// CRC.
+/// Length of the CRC, bytes.
 const TRAILER: usize = 4;
 
-/// The longest packet, bytes: a configuration is the longest message.
+/// Maximum length of a packet, bytes: the longest message is a configuration.
 const MAX_PACKET: usize = 768;
-/// The longest frame, its ending zero included: COBS adds a byte for each 254, and one.
+/// Maximum length of a frame, bytes: COBS adds one byte and one more for each 254 bytes; a zero ends the frame.
 pub const MAX_FRAME: usize = MAX_PACKET + MAX_PACKET / 254 + 2;
 
 /// The message does not fit into a packet.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct EncodeError;
 
-/// Writes the frame of a message into `frame`, and returns its length.
+/// Encodes a message into `frame`, and returns the frame's length, bytes.
 ///
 /// # Errors
-/// The message is longer than a packet can be.
+/// The message does not fit into a packet.
 pub fn encode(
     sequence: u32,
     message: &impl Serialize,
@@ -50,68 +50,68 @@ pub fn encode(
     Ok(length + 1)
 }
 
-/// Why bytes up to a zero are no packet.
+/// The reason why the bytes up to a zero are not a packet.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FrameError {
-    /// More bytes than a frame has.
+    /// Longer than [`MAX_FRAME`].
     TooLong,
-    /// No COBS.
+    /// Invalid COBS encoding.
     Encoding,
-    /// Fewer or more bytes than the length says.
+    /// The number of bytes differs from the length field.
     Length,
-    /// The CRC is another.
+    /// The CRC is wrong.
     Crc,
-    /// The packet is whole, and of this version.
+    /// The packet is valid, but has this other version.
     Version(u8),
 }
 
 impl fmt::Display for FrameError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::TooLong => write!(f, "longer than a frame can be"),
-            Self::Encoding => write!(f, "not a frame's encoding"),
-            Self::Length => write!(f, "not as long as it says"),
+            Self::TooLong => write!(f, "longer than the maximum of {MAX_FRAME} bytes"),
+            Self::Encoding => write!(f, "invalid COBS encoding"),
+            Self::Length => write!(f, "length differs from the length field"),
             Self::Crc => write!(f, "wrong checksum"),
-            Self::Version(version) => write!(f, "version {version} of the link, and this is {VERSION}"),
+            Self::Version(version) => write!(f, "link version {version}, must be {VERSION}"),
         }
     }
 }
 
 impl core::error::Error for FrameError {}
 
-/// A packet that has arrived whole.
+/// A valid packet.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Packet<'a> {
-    /// Its sequence number.
+    /// Sequence number.
     pub sequence: u32,
     body: &'a [u8],
 }
 
 impl<'a> Packet<'a> {
-    /// The message in it; `None` if it is none of this type.
+    /// Decodes the message; returns `None` if it is not of this type.
     pub fn message<T: Deserialize<'a>>(&self) -> Option<T> {
         let (message, rest) = postcard::take_from_bytes(self.body).ok()?;
         rest.is_empty().then_some(message)
     }
 }
 
-/// Takes bytes, and finds the packets in them.
+/// Decoder from bytes to packets.
 #[derive(Clone, Debug)]
 pub struct Decoder {
     frame: [u8; MAX_FRAME],
     length: usize,
-    /// The present frame is too long, and is given up.
-    spilled: bool,
+    /// Whether the present frame is too long, and will be rejected.
+    overflow: bool,
 }
 
 impl Default for Decoder {
     fn default() -> Self {
-        Self { frame: [0; MAX_FRAME], length: 0, spilled: false }
+        Self { frame: [0; MAX_FRAME], length: 0, overflow: false }
     }
 }
 
 impl Decoder {
-    /// Takes a byte. At the end of a frame: its packet, or why it has none. Zeros in succession end nothing.
+    /// Decodes a byte. At the end of a frame, returns its packet or the error. Ignores repeated zeros.
     pub fn push(&mut self, byte: u8) -> Option<Result<Packet<'_>, FrameError>> {
         if byte != 0 {
             match self.frame.get_mut(self.length) {
@@ -119,12 +119,12 @@ impl Decoder {
                     *place = byte;
                     self.length += 1;
                 }
-                None => self.spilled = true,
+                None => self.overflow = true,
             }
             return None;
         }
         let length = core::mem::take(&mut self.length);
-        if core::mem::take(&mut self.spilled) {
+        if core::mem::take(&mut self.overflow) {
             return Some(Err(FrameError::TooLong));
         }
         (length > 0).then(|| unpack(&mut self.frame[..length]))

@@ -14,7 +14,7 @@ fn frame(sequence: u32, message: &impl serde::Serialize) -> Vec<u8> {
     frame[..length].to_vec()
 }
 
-/// What a decoder makes of bytes: sequence numbers and messages, or errors.
+/// Decodes bytes to sequence numbers and messages, or errors.
 fn decode<T: serde::de::DeserializeOwned>(bytes: &[u8]) -> Vec<Result<(u32, Option<T>), FrameError>> {
     let mut decoder = Decoder::default();
     let mut found = std::vec![];
@@ -42,7 +42,7 @@ fn step() -> Step {
 }
 
 #[test]
-fn messages_come_out_as_they_went_in() {
+fn messages_survive_encoding_and_decoding() {
     let config = Config { params: Params::default(), calibration: Some(Calibration::NONE) };
     for message in
         [ToBoard::Start(config), ToBoard::Step(step()), ToBoard::Step(Step::default()), ToBoard::End]
@@ -66,8 +66,8 @@ fn messages_come_out_as_they_went_in() {
 }
 
 #[test]
-fn a_packet_is_as_the_page_says() {
-    // Version 1, one byte, number 258, variant 2 of `ToBoard`, and the CRC by another implementation
+fn packet_has_the_documented_layout() {
+    // Version 1, one byte, sequence number 258, variant 2 of `ToBoard`, and the CRC by another implementation
     // (Python: `hex(zlib.crc32(bytes([1, 1, 0, 2, 1, 0, 0, 2])))` is 0x4b32a1e7), then COBS by hand.
     let mut packet = std::vec![1, 1, 0, 2, 1, 0, 0, 2];
     let crc = {
@@ -90,7 +90,7 @@ fn a_packet_is_as_the_page_says() {
 }
 
 #[test]
-fn every_single_and_double_bit_error_is_found_and_the_next_frame_is_whole() {
+fn bit_errors_are_detected_and_next_frame_is_decoded() {
     let good = frame(1, &ToBoard::Step(step()));
     let next = frame(2, &ToBoard::End);
     let bits = 8 * good.len();
@@ -102,21 +102,21 @@ fn every_single_and_double_bit_error_is_found_and_the_next_frame_is_whole() {
                 bytes[second / 8] ^= 1 << (second % 8);
             }
             bytes.extend(&next);
-            // A flip may end the frame early, or swallow its end and with it the next one: then whoever waits for an
-            // answer is told of an error all the same.
+            // A flipped bit can end the frame early, or remove its end and so destroy the next frame, too. The decoder
+            // reports an error in both cases.
             let found = decode::<ToBoard>(&bytes);
             assert!(found.iter().any(Result::is_err), "bits {first}, {second}");
             assert!(!found.iter().flatten().any(|(sequence, _)| *sequence == 1), "bits {first}, {second}");
-            let swallowed = bytes[good.len() - 1] != 0;
-            assert_eq!(found.last().unwrap().is_ok(), !swallowed, "bits {first}, {second}");
+            let end_is_removed = bytes[good.len() - 1] != 0;
+            assert_eq!(found.last().unwrap().is_ok(), !end_is_removed, "bits {first}, {second}");
         }
     }
 }
 
 #[test]
-fn another_version_is_named() {
+fn error_names_another_version() {
     let mut frame_bytes = frame(0, &ToBoard::End);
-    // COBS: the first byte is a count, the second the version. A whole packet of version 9.
+    // A valid packet of version 9. In COBS the first byte is a count, the second the version.
     frame_bytes.clear();
     let mut packet = std::vec![9, 1, 0, 0, 0, 0, 0, 2];
     let crc = crc::Crc::<u32>::new(&crc::CRC_32_ISO_HDLC).checksum(&packet);
@@ -127,7 +127,7 @@ fn another_version_is_named() {
 }
 
 #[test]
-fn a_frame_without_end_is_given_up() {
+fn frame_without_end_is_an_error_and_next_is_decoded() {
     let mut bytes = std::vec![1; 3 * MAX_FRAME];
     bytes.push(0);
     bytes.extend(frame(5, &ToBoard::End));
@@ -135,7 +135,7 @@ fn a_frame_without_end_is_given_up() {
 }
 
 #[test]
-fn order() {
+fn sequence_numbers_tell_repeats_from_losses() {
     assert_eq!(Order::of(0, None), Order::Next);
     assert_eq!(Order::of(3, None), Order::Lost(3));
     assert_eq!(Order::of(8, Some(7)), Order::Next);
@@ -148,16 +148,16 @@ fn order() {
 
 proptest! {
     #[test]
-    fn any_bytes_are_taken(bytes in prop::collection::vec(any::<u8>(), 0..2_000)) {
+    fn random_bytes_give_no_message(bytes in prop::collection::vec(any::<u8>(), 0..2_000)) {
         for (_, message) in decode::<ToBoard>(&bytes).into_iter().flatten() {
             prop_assert!(message.is_none(), "a frame in noise has one chance in 2³²");
         }
     }
 
     #[test]
-    fn cut_anywhere_it_is_an_error_or_nothing(cut in 0_usize..60) {
+    fn truncated_frame_gives_an_error_or_nothing(cut in 0_usize..60) {
         let good = frame(1, &ToBoard::Step(step()));
-        // All but the zero is whole.
+        // Without only the final zero, the frame would be complete.
         let cut = cut.min(good.len() - 2);
         let found = decode::<ToBoard>(&[&good[..cut], &[0]].concat());
         prop_assert!(found.iter().all(Result::is_err), "cut at {cut}");

@@ -1,8 +1,8 @@
-//! Checks that end in one clear line.
+//! Checks of values and names. Each failure is an [`InputError`].
 
 use crate::InputError;
 
-/// Adds the nearest valid name to "unknown field `x`, expected one of `a`, `b`".
+/// Adds the nearest valid name to a message such as "unknown field `x`, expected one of `a`, `b`".
 pub fn with_suggestion(message: &str) -> String {
     let quoted: Vec<&str> = message.split('`').skip(1).step_by(2).collect();
     match quoted.as_slice() {
@@ -13,7 +13,8 @@ pub fn with_suggestion(message: &str) -> String {
     }
 }
 
-/// " (did you mean `…`?)" for a name within a few letters of a valid one; else nothing.
+/// Returns " (did you mean `…`?)" with the nearest valid name, or nothing if none is near. A name is near if its edit
+/// distance is at most 1 plus a third of its length.
 pub fn nearest<'a>(wrong: &str, valid: impl Iterator<Item = &'a str>) -> String {
     valid
         .map(|name| (strsim::damerau_levenshtein(wrong, name), name))
@@ -22,14 +23,14 @@ pub fn nearest<'a>(wrong: &str, valid: impl Iterator<Item = &'a str>) -> String 
         .map_or(String::new(), |(_, name)| format!(" (did you mean `{name}`?)"))
 }
 
-/// The error for a name that is none of `valid`.
+/// Returns the error for a name that is not among `valid`.
 pub fn unknown<'a>(field: &str, value: &str, valid: impl IntoIterator<Item = &'a str>) -> InputError {
     let valid: Vec<&str> = valid.into_iter().collect();
     let near = nearest(value, valid.iter().copied());
     InputError::new(format!("must be one of {}{near}", valid.join(", "))).field(field).value(value)
 }
 
-/// Whether `minimum ≤ value ≤ maximum`.
+/// Checks that `minimum ≤ value ≤ maximum`.
 pub fn in_range(field: &str, value: f64, minimum: f64, maximum: f64, unit: &str) -> Result<(), InputError> {
     if value >= minimum && value <= maximum {
         return Ok(());
@@ -37,7 +38,7 @@ pub fn in_range(field: &str, value: f64, minimum: f64, maximum: f64, unit: &str)
     Err(InputError::new(format!("must be from {minimum} to {maximum} {unit}")).field(field).value(value))
 }
 
-/// [`in_range`] for the key of an effect's table.
+/// Does [`in_range`] for a key of an effect's table.
 pub fn key_in_range(
     table: &str,
     key: &str,
@@ -49,7 +50,7 @@ pub fn key_in_range(
     in_range(&format!("{table}.{key}"), value, minimum, maximum, unit)
 }
 
-/// [`key_in_range`] for every entry of an array.
+/// Does [`key_in_range`] for each entry of an array.
 pub fn keys_in_range(
     table: &str,
     key: &str,
@@ -61,7 +62,7 @@ pub fn keys_in_range(
     values.into_iter().try_for_each(|value| key_in_range(table, key, value, minimum, maximum, unit))
 }
 
-/// Whether `minimum < value < maximum`.
+/// Checks that `minimum < value < maximum`.
 pub fn in_open_range(
     field: &str,
     value: f64,

@@ -1,20 +1,20 @@
-//! The one error that bad input ends in: a single line that says where it is, what was found there and what
-//! is allowed.
+//! The error type for bad input: one line that says where the error is, what was found there and what is
+//! allowed.
 //!
-//! `FILE:LINE: FIELD = VALUE: what is allowed`. Parts that don't apply are left out: a missing column has
-//! no value, a command-line option no file. It stays one line whatever the input holds, so that a script
-//! can read it and a person sees it whole: control characters are escaped, and long values cut.
+//! The format is `FILE:LINE: FIELD = VALUE: what is allowed`. Parts that don't apply are left out: a missing
+//! column has no value, a command-line option has no file. The error is always one line, so that a script can
+//! parse it and a terminal shows all of it: control characters are escaped and long values are cut.
 
 use std::fmt::{self, Write as _};
 use std::path::Path;
 
-/// Longest value shown, in characters; the rest becomes an ellipsis. Enough for any number, and a log
-/// that turns out to be a picture does not fill the screen.
-const LONGEST_VALUE: usize = 60;
+/// Longest value shown, characters; an ellipsis replaces the rest. This is enough for any number, and a binary
+/// file given as a log does not fill the screen.
+const MAX_VALUE_CHARS: usize = 60;
 
 /// What is wrong with the input, and where.
 ///
-/// Built up from what the place of the error knows:
+/// Each caller adds the parts that it knows:
 /// ```
 /// use input::InputError;
 /// let error = InputError::new("must be above 0 kg").field("mass_kg").value("-0.65").line(12).file("x4.toml");
@@ -30,40 +30,40 @@ pub struct InputError {
 }
 
 impl InputError {
-    /// An error that so far says only what is allowed, or what went wrong.
+    /// Returns an error that says only what is allowed, or what went wrong.
     pub fn new(allowed: impl Into<String>) -> Self {
         Self { file: None, line: None, field: None, value: None, allowed: allowed.into() }
     }
 
-    /// The file it is in.
+    /// Sets the file that the error is in.
     pub fn file(mut self, path: impl AsRef<Path>) -> Self {
         self.file = Some(path.as_ref().display().to_string());
         self
     }
 
-    /// Whether it says which file it is in.
+    /// Returns whether the file is set.
     pub fn has_file(&self) -> bool {
         self.file.is_some()
     }
 
-    /// The column, key or option, if it says one.
+    /// Returns the column, key or option, if it is set.
     pub fn field_name(&self) -> Option<&str> {
         self.field.as_deref()
     }
 
-    /// The line, counted from 1.
+    /// Sets the line, counted from 1.
     pub fn line(mut self, line: u64) -> Self {
         self.line = Some(line);
         self
     }
 
-    /// The column, key or option.
+    /// Sets the column, key or option.
     pub fn field(mut self, field: impl Into<String>) -> Self {
         self.field = Some(field.into());
         self
     }
 
-    /// The value found there, as written.
+    /// Sets the value found there, as written.
     pub fn value(mut self, value: impl fmt::Display) -> Self {
         self.value = Some(value.to_string());
         self
@@ -77,19 +77,19 @@ impl fmt::Display for InputError {
             f.write_str(":")?;
         }
         if let Some(line) = self.line {
-            let what = if self.file.is_some() { "" } else { "line " };
-            write!(f, "{what}{line}:")?;
+            let prefix = if self.file.is_some() { "" } else { "line " };
+            write!(f, "{prefix}{line}:")?;
         }
         if self.file.is_some() || self.line.is_some() {
             f.write_str(" ")?;
         }
         if let Some(field) = &self.field {
-            on_one_line(f, field, LONGEST_VALUE)?;
+            on_one_line(f, field, MAX_VALUE_CHARS)?;
         }
         if let Some(value) = &self.value {
             f.write_str(if self.field.is_some() { " = " } else { "" })?;
-            // An empty cell would otherwise read as if the message had lost a word.
-            on_one_line(f, if value.is_empty() { "\"\"" } else { value }, LONGEST_VALUE)?;
+            // Quotes make an empty cell visible in the message.
+            on_one_line(f, if value.is_empty() { "\"\"" } else { value }, MAX_VALUE_CHARS)?;
         }
         if self.field.is_some() || self.value.is_some() {
             f.write_str(": ")?;
@@ -100,10 +100,10 @@ impl fmt::Display for InputError {
 
 impl std::error::Error for InputError {}
 
-/// Writes `text` with control characters and line separators escaped, and at most `longest` characters.
-fn on_one_line(f: &mut fmt::Formatter<'_>, text: &str, longest: usize) -> fmt::Result {
+/// Writes at most `max_chars` characters of `text`, with control characters and line separators escaped.
+fn on_one_line(f: &mut fmt::Formatter<'_>, text: &str, max_chars: usize) -> fmt::Result {
     for (i, c) in text.chars().enumerate() {
-        if i == longest {
+        if i == max_chars {
             return f.write_char('…');
         }
         if c.is_control() || matches!(c, '\u{2028}' | '\u{2029}') {
@@ -137,11 +137,11 @@ mod tests {
     }
 
     #[test]
-    fn stays_one_short_line() {
+    fn error_is_one_short_line() {
         let error =
             InputError::new("must be\na number").file("a\nb").line(1).field("c\r").value("\u{1b}[2J\u{2028}");
         assert_eq!(error.to_string(), "a\\nb:1: c\\r = \\u{1b}[2J\\u{2028}: must be\\na number");
         let long = InputError::new("short").value("9".repeat(1000)).to_string();
-        assert_eq!(long.chars().count(), LONGEST_VALUE + "…: short".chars().count());
+        assert_eq!(long.chars().count(), MAX_VALUE_CHARS + "…: short".chars().count());
     }
 }

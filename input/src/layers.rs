@@ -1,8 +1,8 @@
-//! TOML from several files, merged, with every value still knowing the line it came from.
+//! TOML texts from several files, merged into one table. Each value keeps its file and line for errors.
 //!
-//! A scene may include another and override it, and an effect that it names takes from the sensor's preset
-//! the figures that it doesn't give. The merge is of tables, key by key. The spans of the second and further
-//! texts are shifted behind the first's, so that one number says file and line.
+//! A scene can include another scene and override it. An effect that the scene names takes the keys that it
+//! lacks from the sensor's preset. Tables are merged key by key. The spans of each further text are shifted past
+//! the end of the text before it, so that one offset identifies file and line.
 
 use std::fs::File;
 use std::io::{self, Read as _};
@@ -16,29 +16,32 @@ use xxhash_rust::xxh3::xxh3_64;
 use crate::InputError;
 use crate::check::with_suggestion;
 
-/// Reads a file that a scene names.
+/// A function that reads a file which a scene names.
 pub type ReadText<'a> = &'a dyn Fn(&Path) -> io::Result<String>;
 
-/// The longest text, bytes. A device that never ends is no scene.
-const LONGEST_TEXT: u64 = 1 << 20;
+/// Longest text that is read, bytes. The limit stops the reading of an endless device such as `/dev/zero`.
+const MAX_TEXT_BYTES: u64 = 1 << 20;
 
-/// The text of a file on disk.
-pub fn text_of(path: &Path) -> io::Result<String> {
+/// Reads a file from disk.
+///
+/// # Errors
+/// The file cannot be read, or is longer than 1 MiB.
+pub fn read_text(path: &Path) -> io::Result<String> {
     let mut text = String::new();
-    if File::open(path)?.take(LONGEST_TEXT + 1).read_to_string(&mut text)? as u64 > LONGEST_TEXT {
-        return Err(io::Error::other(format!("longer than {LONGEST_TEXT} bytes")));
+    if File::open(path)?.take(MAX_TEXT_BYTES + 1).read_to_string(&mut text)? as u64 > MAX_TEXT_BYTES {
+        return Err(io::Error::other(format!("longer than {MAX_TEXT_BYTES} bytes")));
     }
     Ok(text)
 }
 
-/// A file that can't be read, and why.
+/// The path of a file that cannot be read, and the reason.
 pub type Unreadable = (PathBuf, io::Error);
 
-/// The name for errors and the text of a built-in `kind` of this name, or of a file of TOML beside `from`; nothing, if `name`
-/// is neither.
+/// Finds the built-in `kind` called `name`, or reads the TOML file `name` in the directory of `from`. Returns a name for
+/// errors and the text, or nothing if `name` is neither.
 ///
 /// # Errors
-/// A file that can't be read.
+/// The file cannot be read.
 pub fn built_in_or_file(
     kind: &str,
     built_in: &[(&str, &str)],
@@ -59,15 +62,18 @@ pub fn built_in_or_file(
     }
 }
 
-/// The texts that a scene was put together from.
+/// The texts that are merged into one scene.
 #[derive(Default)]
 pub struct Layers<'a> {
-    /// Name, text, and where the text's spans begin.
+    /// Name, text, and the offset at which the text's spans begin.
     texts: Vec<(String, &'a str, usize)>,
 }
 
 impl<'a> Layers<'a> {
-    /// Reads one more text.
+    /// Parses one more text.
+    ///
+    /// # Errors
+    /// The text is not TOML.
     pub fn add(&mut self, name: &str, text: &'a str) -> Result<DeTable<'a>, InputError> {
         let base = self.texts.last().map_or(0, |(_, text, base)| base + text.len() + 1);
         self.texts.push((name.into(), text, base));
@@ -78,13 +84,17 @@ impl<'a> Layers<'a> {
         Ok(shifted(table.into_inner(), base))
     }
 
-    /// Turns a table into what it describes.
+    /// Deserializes a table.
+    ///
+    /// # Errors
+    /// A key that is unknown or missing; a value of the wrong type.
     pub fn read<T: DeserializeOwned>(&self, table: DeTable<'a>) -> Result<T, InputError> {
         T::deserialize(Deserializer::from(Spanned::new(0..0, table)))
             .map_err(|error| self.error(error.message(), error.span().map(|span| span.start)))
     }
 
-    /// Hash of all texts, each with its length, so that a line which moves from one to the next is seen.
+    /// Returns the hash of all texts. It includes each text's length, so that it changes when a line moves from one text
+    /// to the next.
     pub fn hash(&self) -> u64 {
         self.texts.iter().fold(0, |hash, (_, text, _)| {
             let lengths = [hash, text.len() as u64].map(u64::to_le_bytes).concat();
@@ -94,36 +104,36 @@ impl<'a> Layers<'a> {
 
     fn error(&self, message: &str, at: Option<usize>) -> InputError {
         let one_line = message.split_whitespace().collect::<Vec<_>>().join(" ");
-        let said = InputError::new(with_suggestion(&one_line));
-        // A span of 0 with 0 is the whole table: something is missing from it, not wrong in it. Of several texts only
-        // the caller knows in which it should stand.
+        let input_error = InputError::new(with_suggestion(&one_line));
+        // A span at 0 is the whole table: a key is missing. With several texts only the caller knows in which one it
+        // should be.
         let Some(at) = at.filter(|at| *at > 0) else {
             return match &self.texts[..] {
-                [(name, ..)] => said.file(name),
-                _ => said,
+                [(name, ..)] => input_error.file(name),
+                _ => input_error,
             };
         };
         let Some((name, text, base)) = self.texts.iter().rev().find(|(_, _, base)| at >= *base) else {
-            return said;
+            return input_error;
         };
         let before = &text[..(at - base).min(text.len())];
-        said.file(name).line(1 + before.matches('\n').count() as u64)
+        input_error.file(name).line(1 + before.matches('\n').count() as u64)
     }
 }
 
-/// The string at the top of a text under `key`, if there is one.
+/// Returns the string under the top-level `key` of a text, if the key is present.
 ///
 /// # Errors
-/// No TOML; something else under `key`.
+/// The text is not TOML; the value is not a string.
 pub fn text_at(name: &str, text: &str, key: &str) -> Result<Option<String>, InputError> {
     let table = Layers::default().add(name, text)?;
     string(&table, key).map_err(|error| error.file(name))
 }
 
-/// The string in a table under `key`, if there is one.
+/// Returns the string under `key` of a table, if the key is present.
 ///
 /// # Errors
-/// Something else is there.
+/// The value is not a string.
 pub fn string(table: &DeTable<'_>, key: &str) -> Result<Option<String>, InputError> {
     match table.get(key).map(Spanned::get_ref) {
         None => Ok(None),
@@ -132,7 +142,7 @@ pub fn string(table: &DeTable<'_>, key: &str) -> Result<Option<String>, InputErr
     }
 }
 
-/// Whether a table has what a dotted key names.
+/// Returns whether a table has a dotted key.
 pub fn has(table: &DeTable<'_>, dotted: &str) -> bool {
     let (first, rest) = dotted.split_once('.').map_or((dotted, None), |(first, rest)| (first, Some(rest)));
     match (table.get(first).map(Spanned::get_ref), rest) {
@@ -142,6 +152,7 @@ pub fn has(table: &DeTable<'_>, dotted: &str) -> bool {
     }
 }
 
+/// Adds `by` to all spans of a table.
 fn shifted(table: DeTable<'_>, by: usize) -> DeTable<'_> {
     table
         .into_iter()
@@ -156,7 +167,7 @@ fn shifted_value(value: Spanned<DeValue<'_>>, by: usize) -> Spanned<DeValue<'_>>
     let span = value.span().start + by..value.span().end + by;
     let value = match value.into_inner() {
         DeValue::Table(inner) => DeValue::Table(shifted(inner, by)),
-        // In place: whether it is an array of tables stays with it.
+        // In place, because the array also records whether it is an array of tables.
         DeValue::Array(mut inner) => {
             for item in inner.iter_mut() {
                 let place = Spanned::new(0..0, DeValue::Boolean(false));
@@ -169,7 +180,7 @@ fn shifted_value(value: Spanned<DeValue<'_>>, by: usize) -> Spanned<DeValue<'_>>
     Spanned::new(span, value)
 }
 
-/// `over` on top of `under`: tables are merged, everything else is replaced.
+/// Merges `over` into `under`: tables are merged key by key, other values of `under` are replaced.
 pub fn merge<'a>(over: DeTable<'a>, mut under: DeTable<'a>) -> DeTable<'a> {
     for (key, value) in over {
         let below = under.remove(&key);
@@ -190,8 +201,8 @@ pub fn merge<'a>(over: DeTable<'a>, mut under: DeTable<'a>) -> DeTable<'a> {
     under
 }
 
-/// Gives every table of `over` that stands two levels deep (`gyro.white_noise`) the keys it lacks from the
-/// table of that name in `under`. What `over` does not name stays unnamed.
+/// Adds missing keys to each table of `over` that is two levels deep (`gyro.white_noise`), from the table of the
+/// same name in `under`. Tables that `over` does not have are not added.
 pub fn complete<'a>(over: &mut DeTable<'a>, under: &DeTable<'a>) {
     for (key, group) in over.iter_mut() {
         let (DeValue::Table(group), Some(DeValue::Table(preset))) =

@@ -1,5 +1,5 @@
-//! What people write for Kestrel, read: files of TOML in layers ([`layers`]), checks of what they say ([`check`]),
-//! mountings in quarter turns ([`axes`]), and the one error that bad input ends in ([`InputError`]).
+//! Reading of what users write: TOML files in layers ([`layers`]), checks of their values ([`check`]), mountings in
+//! quarter turns ([`axes`]), and the one error type for bad input ([`InputError`]).
 #![forbid(unsafe_code)]
 #![warn(missing_docs)]
 

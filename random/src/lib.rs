@@ -1,13 +1,13 @@
 //! Random numbers: one independent stream for each effect and axis.
 //!
 //! A stream is a xoshiro256++ generator whose seed is a hash of (scene seed, effect, axis). Switching an
-//! effect on or off therefore never moves another's draws.
+//! effect on or off therefore never changes the draws of another effect.
 //!
-//! The normal distribution stands here, and not from a crate, because the tails of every published ziggurat
-//! call the C library's `exp` and `ln`, whose last bit depends on the processor. This one uses `libm`.
+//! The normal distribution is implemented here and not by a crate: the tails of all published ziggurats call the
+//! C library's `exp` and `ln`, whose last bit depends on the processor. This implementation uses `libm`.
 #![forbid(unsafe_code)]
 #![warn(missing_docs)]
-// Tests may take the C library's functions as a second opinion: see clippy.toml.
+// Tests may compare with the C library's functions: see clippy.toml.
 #![cfg_attr(test, allow(clippy::disallowed_methods))]
 
 use std::sync::OnceLock;
@@ -16,17 +16,17 @@ use rand_xoshiro::Xoshiro256PlusPlus;
 use rand_xoshiro::rand_core::{Rng, SeedableRng};
 use xxhash_rust::xxh3::xxh3_64_with_seed;
 
-/// Layers of the ziggurat.
+/// Number of layers of the ziggurat.
 const LAYERS: usize = 256;
-/// Where the lowest layer's rectangle ends (Marsaglia and Tsang, *The ziggurat method*, 2000).
+/// Right edge of the lowest layer's rectangle (Marsaglia and Tsang, *The ziggurat method*, 2000).
 const R: f64 = 3.654_152_885_361_009;
 /// Area of each layer.
 const AREA: f64 = 4.928_673_233_974_655e-3;
 
-/// Edges x\[i\] of the layers, falling from the base to 0, and exp(−x²/2) there.
+/// Tables of the ziggurat: the edges x\[i\] of the layers, falling from the base to 0, and exp(−x²/2) at the edges.
 struct Ziggurat {
     x: [f64; LAYERS + 1],
-    /// x · 2⁻⁵²: what one of 2⁵² steps across the layer is worth.
+    /// x · 2⁻⁵², the size of one of 2⁵² steps across the layer.
     per_step: [f64; LAYERS],
     density: [f64; LAYERS + 1],
 }
@@ -38,7 +38,7 @@ fn density(x: f64) -> f64 {
 impl Ziggurat {
     fn new() -> Self {
         let mut x = [0.0; LAYERS + 1];
-        // The base layer is a rectangle as wide as if its tail were part of it.
+        // The width of the base layer's rectangle includes the area of its tail.
         x[0] = AREA / density(R);
         x[1] = R;
         for i in 2..LAYERS {
@@ -54,13 +54,13 @@ impl Ziggurat {
     }
 }
 
-/// The generator of one axis of one effect in a scene with this seed.
+/// Returns the generator of one axis of one effect in a scene with this seed.
 fn generator(seed: u64, effect: &str, axis: usize) -> Xoshiro256PlusPlus {
     let hash = xxh3_64_with_seed(effect.as_bytes(), seed);
     Xoshiro256PlusPlus::seed_from_u64(hash ^ (axis as u64).wrapping_mul(0x9E37_79B9_7F4A_7C15))
 }
 
-/// Uniform in (0, 1], a multiple of 2⁻⁵³.
+/// Draws a number that is uniform in (0, 1], a multiple of 2⁻⁵³.
 #[inline]
 fn uniform(generator: &mut Xoshiro256PlusPlus) -> f64 {
     ((generator.next_u64() >> 11) + 1) as f64 * (1.0 / (1_u64 << 53) as f64)
@@ -71,12 +71,12 @@ fn uniform(generator: &mut Xoshiro256PlusPlus) -> f64 {
 pub struct UniformStream(Xoshiro256PlusPlus);
 
 impl UniformStream {
-    /// The stream of one axis of one effect in a scene with this seed.
+    /// Returns the stream of one axis of one effect in a scene with this seed.
     pub fn new(seed: u64, effect: &str, axis: usize) -> Self {
         Self(generator(seed, effect, axis))
     }
 
-    /// The next number.
+    /// Draws the next number.
     #[inline]
     pub fn draw(&mut self) -> f64 {
         uniform(&mut self.0)
@@ -91,18 +91,18 @@ pub struct NormalStream {
 }
 
 impl NormalStream {
-    /// The stream of one axis of one effect in a scene with this seed.
+    /// Returns the stream of one axis of one effect in a scene with this seed.
     pub fn new(seed: u64, effect: &str, axis: usize) -> Self {
         Self { generator: generator(seed, effect, axis), ziggurat: Ziggurat::get() }
     }
 
-    /// The next number.
+    /// Draws the next number.
     #[inline]
     pub fn draw(&mut self) -> f64 {
         loop {
             let bits = self.generator.next_u64();
             let layer = (bits & 0xFF) as usize;
-            // The 53 high bits as a uniform in [−2⁵², 2⁵²); the layer comes from others.
+            // The 53 high bits are a uniform number in [−2⁵², 2⁵²); the layer uses other bits.
             let x = ((bits as i64) >> 11) as f64 * self.ziggurat.per_step[layer];
             if x.abs() < self.ziggurat.x[layer + 1] {
                 return x;
@@ -113,11 +113,12 @@ impl NormalStream {
         }
     }
 
-    /// The one time in 70 that a draw falls outside its layer's inner rectangle.
+    /// Handles a draw outside its layer's inner rectangle, which happens once in 70 draws. Returns `None` if the draw is
+    /// rejected.
     #[cold]
     fn draw_outside(&mut self, layer: usize, x: f64) -> Option<f64> {
         if layer == 0 {
-            // The tail beyond R (Marsaglia 1964).
+            // A draw from the tail beyond R (Marsaglia 1964).
             loop {
                 let away = -libm::log(uniform(&mut self.generator)) / R;
                 let y = -libm::log(uniform(&mut self.generator));
@@ -137,17 +138,17 @@ impl std::fmt::Debug for NormalStream {
     }
 }
 
-/// Three independent streams, for the axes of a sensor.
+/// Three independent streams of standard normal numbers for the axes of a sensor.
 #[derive(Clone, Debug)]
 pub struct NormalStreams([NormalStream; 3]);
 
 impl NormalStreams {
-    /// The streams of an effect.
+    /// Returns the streams of an effect.
     pub fn new(seed: u64, effect: &str) -> Self {
         Self([0, 1, 2].map(|axis| NormalStream::new(seed, effect, axis)))
     }
 
-    /// The next number of each.
+    /// Draws the next number of each stream.
     #[inline]
     pub fn draw(&mut self) -> flight_core::geometry::Vec3<f64> {
         let [x, y, z] = &mut self.0;
@@ -160,7 +161,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn layers_have_equal_areas_and_close_at_the_top() {
+    fn ziggurat_layers_have_equal_areas() {
         let z = Ziggurat::get();
         for i in 1..LAYERS {
             let area = z.x[i] * (z.density[i + 1] - z.density[i]);
@@ -169,7 +170,7 @@ mod tests {
     }
 
     #[test]
-    fn moments_and_tails_are_those_of_the_normal_distribution() {
+    fn normal_stream_has_normal_moments_and_tails() {
         let mut stream = NormalStream::new(1, "test", 0);
         let n = 4_000_000;
         let (mut moments, mut beyond) = ([0.0; 4], [0_u32; 3]);
@@ -183,13 +184,13 @@ mod tests {
             }
         }
         let n = f64::from(n);
-        // Five standard errors each: √(1, 2, 15, 96)/√n.
+        // The bounds are five standard errors: √(1, 2, 15, 96)/√n.
         for (got, (want, variance)) in
             moments.iter().zip([(0.0, 1.0), (1.0, 2.0), (0.0, 15.0), (3.0, 96.0_f64)])
         {
             assert!((got / n - want).abs() < 5.0 * (variance / n).sqrt(), "{got} {want}");
         }
-        // P(|x| > 1, 3, R), by erfc.
+        // The probabilities P(|x| > 1, 3, R) are from erfc.
         for (count, edge) in beyond.into_iter().zip([1.0, 3.0, R]) {
             let p = libm::erfc(edge / 2.0_f64.sqrt());
             assert!((f64::from(count) - p * n).abs() < 5.0 * (p * n).sqrt(), "beyond {edge}: {count}");
@@ -197,7 +198,7 @@ mod tests {
     }
 
     #[test]
-    fn uniform_numbers_have_mean_and_variance_of_the_uniform_distribution() {
+    fn uniform_stream_has_uniform_mean_and_variance() {
         let mut stream = UniformStream::new(1, "test", 0);
         let n = 1_000_000;
         let (mut sum, mut squares) = (0.0, 0.0);
@@ -208,13 +209,13 @@ mod tests {
             squares += x * x;
         }
         let n = f64::from(n);
-        // Five standard errors: x has the variance 1/12, x² has 1/5 − 1/9 = 4/45.
+        // The bounds are five standard errors: the variance of x is 1/12, that of x² is 1/5 − 1/9 = 4/45.
         assert!((sum / n - 0.5).abs() < 5.0 * (1.0 / 12.0 / n).sqrt());
         assert!((squares / n - 1.0 / 3.0).abs() < 5.0 * (4.0 / 45.0 / n).sqrt());
     }
 
     #[test]
-    fn streams_differ_by_seed_effect_and_axis_and_repeat() {
+    fn streams_depend_on_seed_effect_and_axis() {
         let first = |seed, effect, axis| NormalStream::new(seed, effect, axis).draw();
         let all = [first(1, "a", 0), first(2, "a", 0), first(1, "b", 0), first(1, "a", 1)];
         for (i, x) in all.iter().enumerate() {

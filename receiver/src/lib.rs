@@ -1,4 +1,4 @@
-//! From the bytes of a radio-control receiver to frames of stick positions.
+//! Decoders from the bytes of a radio-control receiver to frames of stick positions.
 //!
 //! | | SBUS | CRSF (TBS Crossfire, ExpressLRS) |
 //! |---|---|---|
@@ -7,34 +7,34 @@
 //! | sent every | 7 to 14 ms | 1 to 40 ms |
 //! | begins with | 0x0F after a pause | address 0xC8, length |
 //! | is checked by | parity; flags and footer | CRC-8/DVB-S2 |
-//! | a lost link shows as | the failsafe flag, the frame-lost flag, or silence | silence, or link quality 0 |
+//! | reports a lost link by | the failsafe flag, the frame-lost flag, or silence | silence, or link quality 0 |
 //!
-//! # Where a frame begins
-//! Bytes come with the time at which they were received, and a pause of [`GAP_US`] separates frames:
+//! # Start of a frame
+//! Each byte has the time at which it was received. A pause of at least [`GAP_US`] separates frames:
 //! ```text
 //!  SBUS, every 7 ms   ▐███ 3 ms ███▌        4 ms        ▐███ 3 ms ███▌
 //!  byte to byte        0.12 ms              4.12 ms
 //! ```
-//! A time may be late by as much as D, if the bytes are collected in a buffer and fetched every D. Then up to
-//! 0.12 ms + D lie between two bytes of a frame, and at least 4.12 ms − D between two frames. 2 ms separate the
-//! two for every D below 1.88 ms: for an interrupt at each byte as well as for a buffer that a 1 kHz task
-//! empties, so that how the bytes are cut into chunks makes no difference.
+//! If the bytes are collected in a buffer that is read every D, a time can be late by up to D. Then the times of
+//! two bytes of a frame differ by up to 0.12 ms + D, and those of two frames by at least 4.12 ms − D. A limit of
+//! 2 ms separates the two cases for every D below 1.88 ms. It therefore works for an interrupt at each byte and
+//! for a buffer that a 1 kHz task reads, and the size of the chunks makes no difference.
 //!
-//! SBUS has no checksum, and depends on the pause: a frame is only looked for behind one. CRSF finds its frames
-//! by their checksum; the pause, which is there to see up to about 250 frames a second, makes an end of the wait
-//! for the rest of a frame that never comes.
+//! SBUS has no checksum and depends on the pause: the decoder accepts a frame only after a pause. The CRSF decoder
+//! finds frames by their checksum. There the pause, which is visible up to about 250 frames a second, only ends the
+//! wait for the rest of an incomplete frame.
 //!
-//! # When the link is lost
-//! A frame [`Frame::is_live`] if its sticks are the pilot's. Only live frames may be used, and the absence of
-//! live frames is the loss of the link: so silence, a receiver that sets its failsafe flag, and one that
-//! repeats its last frame as lost, all end in the same way. What cannot be told from a live link is a receiver
-//! that goes on sending made-up sticks without a flag: its failsafe must be set to "no pulses" or "cut".
+//! # Link loss
+//! [`Frame::is_live`] is true if the sticks are the pilot's present sticks. Only live frames may be used, and link loss
+//! is the absence of live frames. Three cases therefore have the same result: silence, a receiver that sets its
+//! failsafe flag, and a receiver that repeats its last frame and marks it as lost. A receiver that sends preset sticks
+//! without a flag looks like a live link: set its failsafe to "no pulses" or "cut".
 //!
-//! # The decoders
+//! # Parsers
 //! [`uf-sbus`] and [`uf-crsf`] (Apache-2.0, by one author, `no_std`, no allocation, no `unsafe`) unpack the
-//! frames. Of the others, `sbus` never reports the failsafe flag (it compares a shifted bit with 1),
+//! frames. Other crates have defects: `sbus` never reports the failsafe flag (it compares a shifted bit with 1),
 //! `sbus-rs` rejects the footers of SBUS2, and `crsf` 2.0 drops up to 64 bytes with every frame and indexes
-//! payloads without looking at their length. Of `uf-crsf` only the two frame types used here are decoded.
+//! payloads without a check of their length. This crate decodes only two frame types of `uf-crsf`.
 //!
 //! [`uf-sbus`]: https://docs.rs/uf-sbus
 //! [`uf-crsf`]: https://docs.rs/uf-crsf
@@ -49,39 +49,39 @@ pub mod search;
 use flight_core::rc::ChannelMap;
 use flight_core::sample::{LinkStatus, RcFrame};
 
-/// A pause of this length separates two frames, µs: see the crate's description.
+/// Minimum pause between two frames, µs: see the crate's description.
 pub const GAP_US: u64 = 2_000;
 
-/// After any garbage, the second whole frame at the latest is accepted: the first may have lost its beginning
-/// to the garbage, the second has a pause before it. That is 17 ms for SBUS sent every 14 ms. CRSF too fast for
-/// the pause to be seen recovers by its checksum: at 1,000 frames a second it never lost more than three in
+/// Number of complete frames after garbage until one is accepted: the garbage may hide the beginning of the first
+/// frame, and the second frame has a pause before it. That is 17 ms for SBUS sent every 14 ms. CRSF that is too
+/// fast for a visible pause recovers by its checksum: at 1,000 frames a second it lost at most three frames in
 /// 20,000 trials.
 pub const RECOVERY_FRAMES: usize = 2;
 
-/// What the receiver speaks.
+/// The receiver's protocol.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Protocol {
-    /// Futaba, FrSky and many others.
+    /// SBUS: Futaba, FrSky and many others.
     Sbus,
-    /// TBS Crossfire and ExpressLRS.
+    /// CRSF: TBS Crossfire and ExpressLRS.
     Crsf,
 }
 
 /// Settings of a serial port that receives 8 data bits.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Line {
-    /// Bits a second.
+    /// Baud rate, bits a second.
     pub baud: u32,
-    /// Even parity; otherwise none.
+    /// Even parity if true, no parity if false.
     pub even_parity: bool,
-    /// 1 or 2.
+    /// Number of stop bits, 1 or 2.
     pub stop_bits: u8,
-    /// The line idles low. The STM32F4's ports cannot receive that: a board needs an inverter before the pin.
+    /// Whether the line idles low. The STM32F4's ports cannot receive that: the board needs an inverter before the pin.
     pub inverted: bool,
 }
 
 impl Protocol {
-    /// For people.
+    /// Returns the name to display.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Sbus => "SBUS",
@@ -89,10 +89,10 @@ impl Protocol {
         }
     }
 
-    /// How to set up the port.
+    /// Returns the settings of the port.
     ///
-    /// SBUS: Betaflight, `rx/sbus.c`. CRSF: Betaflight, `rx/crsf_protocol.h`, and ExpressLRS; TBS names
-    /// 416,666 baud (`tbs-crsf-spec`), which is 0.8 % less, and both read each other.
+    /// SBUS: as in Betaflight, `rx/sbus.c`. CRSF: as in Betaflight, `rx/crsf_protocol.h`, and ExpressLRS. TBS
+    /// specifies 416,666 baud (`tbs-crsf-spec`), which is 0.8 % less: each can receive the other.
     pub const fn line(self) -> Line {
         match self {
             Self::Sbus => Line { baud: 100_000, even_parity: true, stop_bits: 2, inverted: true },
@@ -101,27 +101,27 @@ impl Protocol {
     }
 }
 
-/// One frame of channels.
+/// One frame of channel values.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Frame {
-    /// The channels as they were sent: 11-bit ticks, 172 to 1811 for full deflections, centre 992. Extended end
-    /// points, and unused channels, lie outside.
+    /// Channel values as sent: 11-bit ticks, 172 to 1811 between full deflections, centre 992. Extended end points and
+    /// unused channels can be outside this range.
     pub channels: [u16; 16],
-    /// The receiver has lost its link for good. SBUS: its flag. CRSF: it reports an uplink quality of 0.
+    /// Whether the receiver reports that its link is lost. SBUS: its failsafe flag. CRSF: an uplink quality of 0.
     pub failsafe: bool,
-    /// SBUS: the receiver missed this frame and repeats the last one.
+    /// SBUS: whether the receiver missed this frame and repeats the last one.
     pub frame_lost: bool,
-    /// CRSF: share of the uplink's packets that arrived, %. `None` if it was not reported of late.
+    /// CRSF: share of the uplink's packets that arrived, %. `None` if there is no report of the last 0.5 s.
     pub link_quality: Option<u8>,
 }
 
 impl Frame {
-    /// Whether the channels are what the pilot does now.
+    /// Returns whether the channels are the pilot's present sticks.
     pub fn is_live(&self) -> bool {
         !self.failsafe && !self.frame_lost
     }
 
-    /// The frame for the flight controller, with the channels where the pilot has them.
+    /// Converts to the flight controller's frame, with the pilot's assignment of the channels.
     pub fn to_rc(&self, channels: &ChannelMap) -> RcFrame {
         let status = if self.failsafe {
             LinkStatus::Failsafe
@@ -134,18 +134,18 @@ impl Frame {
     }
 }
 
-/// What a [`Receiver`] has seen so far. A full counter stays full.
+/// Counts of a [`Receiver`] since its start. Each count saturates.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Counts {
-    /// Frames of channels.
+    /// Valid channel frames.
     pub good: u32,
-    /// Frames with a wrong checksum, flag or footer, and frames that broke off.
+    /// Frames with a wrong checksum, flag or footer, and incomplete frames.
     pub bad: u32,
-    /// How often the receiver found bytes where a frame should have begun, and had to look for the next one.
+    /// Losses of synchronisation: bytes that are not a frame, after which the receiver searches for the next frame.
     pub resyncs: u32,
 }
 
-/// One receiver at one serial port.
+/// A receiver at a serial port.
 #[derive(Debug)]
 pub struct Receiver {
     decoder: Decoder,
@@ -160,7 +160,7 @@ enum Decoder {
 }
 
 impl Receiver {
-    /// A receiver that has heard nothing yet.
+    /// Returns a receiver without any bytes yet.
     pub fn new(protocol: Protocol) -> Self {
         let decoder = match protocol {
             Protocol::Sbus => Decoder::Sbus(sbus::Decoder::new()),
@@ -169,39 +169,39 @@ impl Receiver {
         Self { decoder, counts: Counts::default(), last_byte_us: None }
     }
 
-    /// Takes a byte, received at `time_us`, and returns the frame that it completes.
+    /// Decodes a byte that was received at `time_us`, and returns the frame that it completes.
     pub fn push(&mut self, byte: u8, time_us: u64) -> Option<Frame> {
-        self.listen(time_us);
+        self.check_pause(time_us);
         let frame = match &mut self.decoder {
             Decoder::Sbus(sbus) => sbus.push(byte, &mut self.counts),
             Decoder::Crsf(crsf) => crsf.push(byte, time_us, &mut self.counts),
         };
         if frame.is_some() {
-            count(&mut self.counts.good);
+            increment(&mut self.counts.good);
         }
         frame
     }
 
-    /// The port received a byte with wrong parity or without its stop bit, or lost one, at `time_us`. The frame
-    /// that it belongs to is given up.
+    /// Reports an error of the port at `time_us`: a byte with wrong parity, without its stop bit, or lost. The frame
+    /// to which the byte belongs is dropped.
     ///
-    /// SBUS needs to be told: apart from the parity nothing protects its channels.
+    /// SBUS depends on these reports: only the parity protects its channels.
     pub fn line_error(&mut self, time_us: u64) {
-        self.listen(time_us);
+        self.check_pause(time_us);
         match &mut self.decoder {
             Decoder::Sbus(sbus) => sbus.line_error(&mut self.counts),
             Decoder::Crsf(crsf) => crsf.line_error(&mut self.counts),
         }
     }
 
-    /// What was seen so far.
+    /// Returns the counts since the start.
     pub fn counts(&self) -> Counts {
         self.counts
     }
 
-    /// Looks for a pause before the byte at `time_us`.
-    fn listen(&mut self, time_us: u64) {
-        // What came before the first byte is not known, so it has no pause before it.
+    /// Checks for a pause before the byte at `time_us`.
+    fn check_pause(&mut self, time_us: u64) {
+        // The first byte counts as a byte without a pause, because the time before it is unknown.
         if self.last_byte_us.is_some_and(|last_us| time_us.saturating_sub(last_us) >= GAP_US) {
             match &mut self.decoder {
                 Decoder::Sbus(sbus) => sbus.pause(&mut self.counts),
@@ -212,6 +212,6 @@ impl Receiver {
     }
 }
 
-fn count(counter: &mut u32) {
+fn increment(counter: &mut u32) {
     *counter = counter.saturating_add(1);
 }

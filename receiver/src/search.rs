@@ -1,30 +1,29 @@
-//! The search for what the receiver speaks.
+//! The search for the receiver's protocol.
 //!
-//! Which protocol the receiver speaks is found out: the port listens for one, then for the other, half a second
-//! each, until several frames in a row were good. From then on it stays with that one until the next start: a
-//! link that is lost must find the port listening when it comes back.
+//! The port listens for each protocol in turn, half a second each, until it receives three good frames of one. It then
+//! keeps this protocol until the next start, so that a lost link finds the port with the right settings when it returns.
 
 use flight_core::rc::ChannelMap;
 use flight_core::sample::RcFrame;
 
 use crate::{Line, Protocol, Receiver};
 
-/// How long the port listens for one protocol, µs.
+/// Time for which the port listens for one protocol, µs.
 const LISTEN_US: u64 = 500_000;
-/// Good frames after which the protocol is taken as found. Noise, or a receiver at the wrong speed, looks like an
-/// SBUS frame once in 210,000 bursts (`receiver`), and not three times within half a second.
+/// Number of good frames after which the protocol is found. Noise, or a receiver at the wrong baud rate, looks like an
+/// SBUS frame once in 210,000 bursts (`receiver::sbus`), and practically never three times within half a second.
 const FOUND_FRAMES: u8 = 3;
 
-/// What came in at the port.
+/// An event at the port.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Received {
-    /// A byte.
+    /// A received byte.
     Byte(u8),
-    /// A byte with wrong parity, without its stop bit, or after one that was lost.
+    /// A byte with wrong parity, without its stop bit, or after a lost byte.
     Damaged,
 }
 
-/// A receiver whose protocol is found out.
+/// A receiver that searches for its protocol.
 pub struct Search {
     receiver: Receiver,
     protocol: Protocol,
@@ -34,26 +33,26 @@ pub struct Search {
 }
 
 impl Search {
-    /// What is tried first.
+    /// The first protocol that is tried.
     pub const FIRST: Protocol = Protocol::Crsf;
 
-    /// Listens for [`Self::FIRST`].
+    /// Returns a search that begins with [`Self::FIRST`].
     pub fn new(channels: ChannelMap) -> Self {
         let protocol = Self::FIRST;
         Self { receiver: Receiver::new(protocol), protocol, listening_since_us: 0, frames: 0, channels }
     }
 
-    /// The protocol, once it is found.
+    /// Returns the protocol, or `None` before it is found.
     pub fn found(&self) -> Option<Protocol> {
         (self.frames >= FOUND_FRAMES).then_some(self.protocol)
     }
 
-    /// Damaged frames since this protocol is listened for.
+    /// Returns the number of damaged frames since the search switched to this protocol.
     pub fn damaged(&self) -> u32 {
         self.receiver.counts().bad
     }
 
-    /// Takes what came in at `time_us`, and returns the frame that it completes.
+    /// Decodes an event at `time_us`, and returns the frame that it completes once the protocol is found.
     pub fn push(&mut self, received: Received, time_us: u64) -> Option<RcFrame> {
         let frame = match received {
             Received::Byte(byte) => self.receiver.push(byte, time_us)?,
@@ -69,7 +68,7 @@ impl Search {
         Some(frame.to_rc(&self.channels))
     }
 
-    /// How the port must be set up from now on, if that is to change.
+    /// Switches to the other protocol if it is time to, and returns the new settings of the port.
     pub fn next_line(&mut self, now_us: u64) -> Option<Line> {
         if self.found().is_some() || now_us.saturating_sub(self.listening_since_us) < LISTEN_US {
             return None;

@@ -1,4 +1,5 @@
-//! How fast the simulator is: `cargo bench -p sim-host`. Items are control steps, samples, updates, draws.
+//! Benchmarks of the simulator's throughput: `cargo bench -p sim-host`. Items are control steps, samples, updates,
+//! draws.
 
 use divan::counter::ItemsCount;
 use divan::{Bencher, black_box};
@@ -13,7 +14,7 @@ fn main() {
     divan::main();
 }
 
-/// A whole flight: 1 kHz control, RK4, all sensors.
+/// Flies a scene to its end: 1 kHz control, RK4, all sensors.
 #[divan::bench(args = ["hover", "steps", "stand-steps"])]
 fn fly(bencher: Bencher, name: &str) {
     let scene = Scene::load(name).expect("a built-in scene");
@@ -21,7 +22,7 @@ fn fly(bencher: Bencher, name: &str) {
     bencher.counter(ItemsCount::new(steps)).bench(|| Flight::new(black_box(&scene), scene.seed).run(&mut ()));
 }
 
-/// Every effect that there is, named at once.
+/// A scene with all effects.
 const EVERY_EFFECT: &str = include_str!("every_effect.toml");
 
 fn every_effect() -> Scene {
@@ -30,7 +31,7 @@ fn every_effect() -> Scene {
     scene
 }
 
-/// A whole flight with every effect.
+/// Flies a scene with all effects to its end.
 #[divan::bench]
 fn fly_with_every_effect(bencher: Bencher) {
     let scene = every_effect();
@@ -38,7 +39,7 @@ fn fly_with_every_effect(bencher: Bencher) {
     bencher.counter(ItemsCount::new(steps)).bench(|| Flight::new(black_box(&scene), scene.seed).run(&mut ()));
 }
 
-/// Nine axes of sensor samples on the bench.
+/// Generates samples of nine sensor axes on the bench.
 #[divan::bench]
 fn sense_static(bencher: Bencher) {
     let scene = Scene::load("static").expect("a built-in scene");
@@ -46,14 +47,14 @@ fn sense_static(bencher: Bencher) {
     bencher.counter(ItemsCount::new(samples)).bench(|| sense::run(black_box(&scene), scene.seed, 1000, None));
 }
 
-/// [`every_effect`] on the bench: without a pilot nothing but the sensors is computed.
+/// Returns [`every_effect`] on the bench: without a pilot only the sensors are simulated.
 fn every_sensor_effect() -> Scene {
     let mut scene = every_effect();
     scene.pilot = None;
     scene
 }
 
-/// The same with every sensor effect.
+/// Generates samples of nine sensor axes with all sensor effects.
 #[divan::bench]
 fn sense_with_every_effect(bencher: Bencher) {
     let scene = every_sensor_effect();
@@ -61,7 +62,7 @@ fn sense_with_every_effect(bencher: Bencher) {
     bencher.counter(ItemsCount::new(samples)).bench(|| sense::run(black_box(&scene), scene.seed, 1000, None));
 }
 
-/// One 9-axis update.
+/// Does one 9-axis update of an estimator.
 #[divan::bench(args = ["paper", "paper-literal", "flight"])]
 fn estimator(bencher: Bencher, name: &str) {
     let (_, params) = EstimatorParams::PRESETS.into_iter().find(|p| p.0 == name).expect("a preset");
@@ -72,7 +73,7 @@ fn estimator(bencher: Bencher, name: &str) {
     });
 }
 
-/// One draw from the normal distribution.
+/// Takes one draw from the normal distribution.
 #[divan::bench]
 fn normal(bencher: Bencher) {
     let mut stream = NormalStream::new(1, "bench", 0);

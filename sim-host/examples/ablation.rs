@@ -1,7 +1,8 @@
-//! What each effect of a scene does to the outcome: `cargo run --release -p sim-host --example ablation -- SCENE…`
+//! Measures the influence of each effect of a scene:
+//! `cargo run --release -p sim-host --example ablation -- SCENE…`
 //!
-//! Flies every scene with all its effects, and then with each of them left out, on the same seeds, and prints
-//! a table in Markdown. The figures are judged on the truth.
+//! Flies every scene with all its effects, then without each of them, with the same seeds, and prints a table in
+//! Markdown. The errors are against the truth.
 
 use sim_host::flight::{Flight, Outcome};
 use sim_host::scene::Scene;
@@ -9,7 +10,7 @@ use sim_host::scene::Scene;
 /// Seeds per row.
 const SEEDS: u64 = 20;
 
-/// Root of the mean square over the seeds, and the worst of them.
+/// Results over all seeds: RMS of the attitude error, and the worst of the other values.
 struct Summary {
     attitude_rmse_deg: f64,
     tilt_error_max_deg: f64,

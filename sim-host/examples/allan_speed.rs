@@ -1,8 +1,8 @@
-//! How long the Allan analysis of samples in memory takes: the other half of `benches/against-allantools`.
+//! Measures the time of the Allan analysis of samples in memory, for `benches/against-allantools`.
 //!
-//! `allan_speed SAMPLES.f64`: little-endian doubles. Prints, as one JSON object, the seconds for the sums and
-//! the overlapping deviations at octave τ on one thread (what `allantools.oadev` does), and for all of it with
-//! noise identification, bounds and fit.
+//! Usage: `allan_speed SAMPLES.f64`, a file of little-endian doubles. Prints one JSON object with two times, s: for the
+//! sums and the overlapping deviations at octave τ on one thread (as `allantools.oadev` computes), and for the complete
+//! analysis with noise identification, bounds and fit.
 
 use std::time::Instant;
 

@@ -1,29 +1,29 @@
-//! How far an estimated attitude is from the true one.
+//! The error of an estimated attitude.
 //!
-//! The error is the rotation q_est ⊗ q_ref⁻¹ that takes the true attitude to the estimated one, in world
-//! axes, with nothing aligned first: a constant offset counts. As in the BROAD benchmark (Laidig, Caruso,
-//! Cereatti, Seel, *Data* 6(7):72, 2021) it is split into a turn about the vertical, the heading error, and
-//! the rest about a level axis, the inclination error: heading comes from the magnetometer, inclination
-//! from the accelerometer, and they fail separately.
+//! The error is the rotation q_est ⊗ q_ref⁻¹ from the true attitude to the estimated one, in world axes. The attitudes
+//! are not aligned first, so a constant offset counts as an error. As in the BROAD benchmark (Laidig, Caruso,
+//! Cereatti, Seel, *Data* 6(7):72, 2021) it is split into a rotation about the vertical, the heading error, and a
+//! rotation about a horizontal axis, the inclination error. Heading comes from the magnetometer and inclination from
+//! the accelerometer, so they fail independently.
 
 use flight_core::geometry::Quaternion;
 
-/// The error of one attitude, rad; every part in [0, π].
+/// The error of one attitude, rad; every angle is in [0, π].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AttitudeError {
     /// Angle of the whole rotation.
     pub total_rad: f64,
-    /// Its turn about the vertical.
+    /// Angle of its part about the vertical.
     pub heading_rad: f64,
-    /// Its turn about a level axis: the angle between the two down directions.
+    /// Angle of its part about a horizontal axis: the angle between the two down directions.
     pub inclination_rad: f64,
 }
 
 impl AttitudeError {
-    /// The error of `estimate` against `truth`, both body to world, both near unit length.
+    /// Returns the error of `estimate` against `truth`. Both are body to world and nearly of unit length.
     ///
-    /// BROAD's formulas are 2 acos|w|, 2 atan|z/w| and 2 acos √(w² + z²). The arc tangents here are the same
-    /// angles without the arc cosine's loss of all digits below 1e-8 rad.
+    /// BROAD's formulas are 2 acos|w|, 2 atan|z/w| and 2 acos √(w² + z²). The arc tangents here give the same angles,
+    /// but do not lose all digits below 1e-8 rad as the arc cosine does.
     pub fn between(estimate: Quaternion<f64>, truth: Quaternion<f64>) -> Self {
         let [w, x, y, z] = (estimate * truth.conjugate()).to_array();
         let level_squared = x * x + y * y;
@@ -36,10 +36,10 @@ impl AttitudeError {
     }
 }
 
-/// `atan2` of two numbers that are not negative.
+/// Returns `atan2` of two non-negative numbers.
 ///
-/// A flight asks for three of these a step, nearly always of small angles. Below a tangent of 0.05 the series
-/// to t¹¹ leaves out t¹³/13 = 1e-18, and takes a fifth of the time.
+/// A flight calls this three times per step, nearly always for small angles. Below a tangent of 0.05 the series up to
+/// t¹¹ has an error of t¹³/13 = 1e-18, and takes a fifth of the time.
 #[inline(always)]
 fn angle(opposite: f64, adjacent: f64) -> f64 {
     if opposite < 0.05 * adjacent {
@@ -51,7 +51,7 @@ fn angle(opposite: f64, adjacent: f64) -> f64 {
     }
 }
 
-/// Root of the mean square of many attitude errors.
+/// Root mean square of attitude errors.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct AttitudeRmse {
     /// Sums of squares, rad²: total, heading, inclination.
@@ -60,7 +60,7 @@ pub struct AttitudeRmse {
 }
 
 impl AttitudeRmse {
-    /// Takes one error.
+    /// Adds one error.
     pub fn add(&mut self, error: AttitudeError) {
         let parts = [error.total_rad, error.heading_rad, error.inclination_rad];
         for (sum, part) in self.sums.iter_mut().zip(parts) {
@@ -69,12 +69,12 @@ impl AttitudeRmse {
         self.count += 1;
     }
 
-    /// Number of errors taken.
+    /// Returns the number of errors added.
     pub fn count(&self) -> u64 {
         self.count
     }
 
-    /// The three roots; `None` if there was no error to take.
+    /// Returns the three RMSE; `None` if no error was added.
     pub fn root(&self) -> Option<AttitudeError> {
         if self.count == 0 {
             return None;
@@ -107,12 +107,12 @@ mod tests {
     const TRUTH: Quaternion<f64> = Quaternion::new(0.1, 0.7, -0.5, 0.5);
 
     #[test]
-    fn a_turn_in_the_world_is_split_by_its_axis() {
+    fn error_is_split_into_heading_and_inclination() {
         let level = about([0.6, 0.8, 0.0], 0.3);
         let vertical = about([0.0, 0.0, 1.0], -0.2);
         assert_close(AttitudeError::between(vertical * TRUTH, TRUTH), [0.2, 0.2, 0.0]);
         assert_close(AttitudeError::between(level * TRUTH, TRUTH), [0.3, 0.0, 0.3]);
-        // One after the other, cos(total/2) = cos(heading/2) cos(inclination/2).
+        // Both rotations, one after the other: cos(total/2) = cos(heading/2) cos(inclination/2).
         let total = 2.0 * libm::acos(libm::cos(0.1) * libm::cos(0.15));
         assert_close(AttitudeError::between(vertical * level * TRUTH, TRUTH), [total, 0.2, 0.3]);
         assert_close(AttitudeError::between(level * vertical * TRUTH, TRUTH), [total, 0.2, 0.3]);
@@ -132,7 +132,7 @@ mod tests {
     }
 
     #[test]
-    fn small_and_large_angles_meet() {
+    fn series_and_atan2_agree_at_their_boundary() {
         for angle in [1e-6, 0.01, 0.0999, 0.1, 0.1001, 0.2, 3.0] {
             let error = AttitudeError::between(about([0.0, 0.0, 1.0], angle) * TRUTH, TRUTH);
             assert!((error.heading_rad - angle).abs() < 1e-15 + 4e-16 * angle, "{angle}: {error:?}");
@@ -140,7 +140,7 @@ mod tests {
     }
 
     #[test]
-    fn the_mean_is_of_squares() {
+    fn rmse_is_the_root_of_the_mean_square() {
         let mut rmse = AttitudeRmse::default();
         assert_eq!(rmse.root(), None);
         for total_rad in [3.0, 4.0] {

@@ -1,9 +1,10 @@
 //! Line charts, as SVG.
 //!
-//! A chart is panels in rows. Over time they stand below each other and share one axis, and the moments that are marked:
+//! A chart consists of panels in rows. In a chart over time the panels are below each other, and share one time axis
+//! and the marked events:
 //!
 //! ```text
-//!  heading, note                     (a picture that stands alone)
+//!  heading, note                     (in a separate picture)
 //!  Roll (°)       ─ truth ─ estimate    title, unit, legend: above the data, never over it
 //!        ┆ armed      disarmed ┆        marks, through all panels
 //!  30 ┤  ┆    ╭╮               ┆
@@ -12,19 +13,19 @@
 //!             5       10       15  time, s
 //! ```
 //!
-//! With a [`Scale::Logarithmic`], as for Allan deviations, spectra, and errors against costs, each has its own:
+//! With [`Scale::Logarithmic`], for Allan deviations, spectra, and errors against costs, each panel has its own axes:
 //!
 //! ```text
 //!  gyro_x (°/s)               ─ overlapping  ░ 68 %
 //!  10⁻¹ ┤╲
-//!       │ ╲╲       N = 0.0323 °/s/√Hz                   a label at the place that it speaks of
+//!       │ ╲╲       N = 0.0323 °/s/√Hz                   a label at the point that it describes
 //!  10⁻² ┤   ╲●
 //!       └──┬────┬────┬── τ, s
 //! ```
 //!
-//! Written by hand and not by a plotting crate, because the page is to be small, equal to the byte for equal
-//! flights, and set in the reader's own fonts. Lines are thinned to what a screen can show; a peak of a
-//! single sample stays.
+//! This module replaces a plotting crate, because a page must be small, identical to the byte for identical flights,
+//! and use the reader's own fonts. Lines are reduced to the points that a screen can show; a peak of a single sample
+//! stays visible.
 
 mod panel;
 mod path;
@@ -33,15 +34,15 @@ mod ticks;
 use std::fmt::Write as _;
 
 use maud::Render;
-use panel::Place;
+use panel::PlotArea;
 use path::along_px;
-use ticks::{Ladder, Ticks};
+use ticks::{StepLadder, Ticks};
 
-/// The Okabe-Ito colours, which stay apart in every common kind of colour blindness.
+/// The Okabe-Ito colours, which are distinguishable in every common kind of colour blindness.
 pub mod colour {
     /// Black.
     pub const BLACK: &str = "#000";
-    /// Grey, for what is only a frame of reference.
+    /// Grey, for reference lines.
     pub const GREY: &str = "#777";
     /// Orange.
     pub const ORANGE: &str = "#e69f00";
@@ -57,45 +58,45 @@ pub mod colour {
     pub const PURPLE: &str = "#cc79a7";
 }
 
-/// The styles of a chart's parts: for the `<style>` of a page that charts stand in.
+/// The CSS of charts, for the `<style>` of a page that contains them.
 pub const STYLE: &str = include_str!("chart/style.css");
 
-/// How a line is drawn.
+/// Colour, width and dashing of a line.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Stroke {
     /// One of [`colour`].
     pub colour: &'static str,
     /// Width, px.
     pub width: f64,
-    /// Whether it is dashed.
+    /// True if the line is dashed.
     pub dashed: bool,
 }
 
 impl Stroke {
-    /// A line of this width, px.
+    /// Creates a solid stroke of this width, px.
     pub const fn solid(colour: &'static str, width: f64) -> Self {
         Self { colour, width, dashed: false }
     }
 
-    /// A dashed line of this width, px.
+    /// Creates a dashed stroke of this width, px.
     pub const fn dashed(colour: &'static str, width: f64) -> Self {
         Self { colour, width, dashed: true }
     }
 }
 
-/// How values become places along an axis.
+/// The scale of an axis.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Scale {
-    /// Equal differences are equally far apart.
+    /// Equal differences have equal distances.
     #[default]
     Linear,
-    /// Equal ratios are. A value that is not positive has no place.
+    /// Equal ratios have equal distances. Only positive values can be shown.
     Logarithmic,
 }
 
 impl Scale {
-    /// Where a value is along the axis: itself, or its decimal logarithm; NaN without a place.
-    fn of(self, value: f64) -> f64 {
+    /// Returns the coordinate of a value: the value itself, or its decimal logarithm; NaN if it cannot be shown.
+    fn coordinate(self, value: f64) -> f64 {
         match self {
             Self::Linear => value,
             Self::Logarithmic if value > 0.0 => libm::log10(value),
@@ -107,40 +108,40 @@ impl Scale {
 /// A line of a panel.
 #[derive(Clone, Debug)]
 pub struct Line {
-    /// Its name in the legend; empty leaves it out there.
+    /// Name in the legend; empty for a line without a legend entry.
     pub label: String,
-    /// How it is drawn.
+    /// Appearance of the line.
     pub stroke: Stroke,
-    /// Along and up. A value without a place breaks the line.
+    /// x and y of each point. A value that cannot be shown breaks the line.
     pub points: Vec<(f64, f64)>,
-    /// Whether each point has a dot.
+    /// True if each point has a dot.
     pub dots: bool,
-    /// Whether the axes are to show all of it; else it is cut off at them.
+    /// True if the axes must cover the whole line; otherwise it is clipped at them.
     pub sets_axes: bool,
 }
 
 impl Line {
-    /// A line without dots that the axes show all of.
+    /// Creates a line without dots, which the axes cover.
     pub fn new(label: impl Into<String>, stroke: Stroke, points: Vec<(f64, f64)>) -> Self {
         Self { label: label.into(), stroke, points, dots: false, sets_axes: true }
     }
 }
 
-/// What lies between two curves, in the colour of a line.
+/// The area between two curves.
 #[derive(Clone, Debug)]
 pub struct Band {
     /// One of [`colour`].
     pub colour: &'static str,
-    /// Along, lower, upper.
+    /// x, lower y, upper y.
     pub points: Vec<(f64, f64, f64)>,
 }
 
 /// A dot with a text.
 #[derive(Clone, Debug)]
 pub struct Label {
-    /// Along and up.
+    /// x and y of the dot.
     pub at: (f64, f64),
-    /// What it says.
+    /// The text.
     pub text: String,
     /// One of [`colour`].
     pub colour: &'static str,
@@ -149,27 +150,27 @@ pub struct Label {
 /// A second scale on the right for the same lines: `value = zero + per_unit · left`.
 #[derive(Clone, Copy, Debug)]
 pub struct RightAxis {
-    /// Its unit.
+    /// Unit of the right axis.
     pub unit: &'static str,
-    /// Its value where the left axis is 0.
+    /// Value of the right axis where the left axis is 0.
     pub zero: f64,
-    /// Its change per unit of the left axis.
+    /// Change of the right axis per unit of the left axis.
     pub per_unit: f64,
 }
 
 /// A plot in a chart.
 #[derive(Clone, Debug)]
 pub struct Panel {
-    /// What is plotted.
+    /// Title: the quantity that is plotted.
     pub title: String,
     /// Unit of the values.
     pub unit: String,
     /// Height of the plot, px.
     pub height: f64,
-    /// Values that the axis covers in any case.
-    pub covers: Vec<f64>,
-    /// The axis covers at least this much, so that rounding errors do not fill a plot.
-    pub least_span: f64,
+    /// Values that the axis always includes.
+    pub includes: Vec<f64>,
+    /// Minimum span of the axis, so that rounding errors do not fill a plot.
+    pub min_span: f64,
     /// A second scale.
     pub right: Option<RightAxis>,
     /// Bands, under everything.
@@ -181,14 +182,14 @@ pub struct Panel {
 }
 
 impl Panel {
-    /// Lines, and nothing else.
+    /// Creates a panel with lines only.
     pub fn new(title: impl Into<String>, unit: impl Into<String>, height: f64, lines: Vec<Line>) -> Self {
         Self {
             title: title.into(),
             unit: unit.into(),
             height,
-            covers: Vec::new(),
-            least_span: 0.0,
+            includes: Vec::new(),
+            min_span: 0.0,
             right: None,
             bands: Vec::new(),
             lines,
@@ -197,42 +198,42 @@ impl Panel {
     }
 }
 
-/// A moment, drawn through all panels.
+/// An event, drawn as a vertical line through all panels.
 #[derive(Clone, Debug)]
 pub struct Mark {
-    /// Where on the axis of all panels: time, s.
+    /// Time, s.
     pub time_s: f64,
-    /// What happened.
+    /// Text at the line.
     pub label: String,
     /// One of [`colour`].
     pub colour: &'static str,
 }
 
-/// Panels in rows.
+/// A chart: panels in rows.
 #[derive(Clone, Debug)]
 pub struct Chart {
     /// Width, px.
     pub width: f64,
-    /// Of both axes.
+    /// Scale of both axes.
     pub scale: Scale,
     /// Panels in a row.
     pub columns: usize,
-    /// Title and note of a picture that stands alone.
+    /// Title and note of a separate picture.
     pub heading: Option<(String, String)>,
-    /// What is to be seen, for those who do not see it.
+    /// Description of the content, for screen readers.
     pub description: String,
-    /// First and last value of the one axis of all panels, below the last; without it each has its own.
-    pub along: Option<(f64, f64)>,
-    /// Name and unit of the axis along the bottom.
+    /// Range of the common x axis below the last panel; `None` if each panel has its own x axis.
+    pub x_range: Option<(f64, f64)>,
+    /// Name and unit of the x axis.
     pub x_title: &'static str,
-    /// From left to right, then down.
+    /// The panels, from left to right, then from top to bottom.
     pub panels: Vec<Panel>,
-    /// Moments.
+    /// Events.
     pub marks: Vec<Mark>,
 }
 
 impl Chart {
-    /// Panels below each other over one time, s.
+    /// Creates a chart of panels below each other, with a common time axis, s.
     pub fn over_time(
         width: f64,
         description: impl Into<String>,
@@ -245,14 +246,14 @@ impl Chart {
             columns: 1,
             heading: None,
             description: description.into(),
-            along: Some(time_s),
+            x_range: Some(time_s),
             x_title: "time, s",
             panels,
             marks: Vec::new(),
         }
     }
 
-    /// Panels with two logarithmic axes each.
+    /// Creates a chart of panels with two logarithmic axes each.
     pub fn logarithmic(
         width: f64,
         description: impl Into<String>,
@@ -265,7 +266,7 @@ impl Chart {
             columns: 1,
             heading: None,
             description: description.into(),
-            along: None,
+            x_range: None,
             x_title,
             panels,
             marks: Vec::new(),
@@ -281,21 +282,22 @@ const MARK_ROW: f64 = 16.0;
 const TITLE_ROW: f64 = 26.0;
 const BELOW_PANEL: f64 = 4.0;
 const X_AXIS: f64 = 38.0;
-/// Smallest distance between the labels of an axis, px: up and down, and along.
+/// Minimum distance between the labels of a y axis, px.
 const TICK_DISTANCE_Y: f64 = 19.0;
+/// Minimum distance between the labels of an x axis, px.
 const TICK_DISTANCE_X: f64 = 56.0;
-/// What has gone as far as this, as before a crash for numbers that are not finite, does not set the axis.
-const BEYOND_PLOTTING: f64 = 1e12;
+/// Values beyond this do not set the range of an axis. They occur before a crash by numbers that are not finite.
+const MAX_PLOTTED: f64 = 1e12;
 /// Size of labels, px.
 const FONT_SIZE: f64 = 12.0;
 
 impl Chart {
-    /// The `<svg>` for a page that has [`STYLE`].
+    /// Returns the `<svg>` element for a page that contains [`STYLE`].
     pub fn to_svg(&self) -> String {
         self.draw("", "")
     }
 
-    /// A file that stands alone.
+    /// Returns a complete SVG file.
     pub fn to_svg_file(&self) -> String {
         let background = format!(
             "<style>{STYLE}</style><rect width=\"{}\" height=\"{}\" rx=\"6\" fill=\"#fff\"/>",
@@ -309,7 +311,7 @@ impl Chart {
         if self.panels.iter().any(|panel| panel.right.is_some()) { RIGHT_WITH_AXIS } else { RIGHT }
     }
 
-    /// From the left edge of a panel to that of the next, px.
+    /// Returns the distance between the left edges of neighbouring panels, px.
     fn across(&self) -> f64 {
         self.width / self.columns.max(1) as f64
     }
@@ -318,30 +320,30 @@ impl Chart {
         self.across() - LEFT - self.right()
     }
 
-    /// Height of the rows of the marks' labels, between the first panel's title and its plot.
+    /// Returns the height of the marks' label rows, between the first panel's title and its plot, px.
     fn marks_height(&self) -> f64 {
         let rows = self.mark_labels().iter().map(|label| label.row + 1).max().unwrap_or(0);
         rows as f64 * MARK_ROW
     }
 
-    /// Top of the first panel's title.
+    /// Returns the top of the first panel's title, px.
     fn first_top(&self) -> f64 {
         if self.heading.is_some() { HEADING_HEIGHT } else { 0.0 }
     }
 
-    /// Below a row of panels: the axis, if each has its own.
+    /// Returns the space below a row of panels, px: room for the x axis, if each panel has its own.
     fn below(&self) -> f64 {
-        if self.along.is_some() { BELOW_PANEL } else { X_AXIS }
+        if self.x_range.is_some() { BELOW_PANEL } else { X_AXIS }
     }
 
     fn rows(&self) -> std::slice::Chunks<'_, Panel> {
         self.panels.chunks(self.columns.max(1))
     }
 
-    /// Height of the whole chart, px.
+    /// Returns the height of the whole chart, px.
     pub fn height(&self) -> f64 {
         let rows = self.rows().map(|row| TITLE_ROW + tallest(row) + self.below());
-        let last = if self.along.is_some() { X_AXIS } else { 0.0 };
+        let last = if self.x_range.is_some() { X_AXIS } else { 0.0 };
         self.first_top() + self.marks_height() + rows.sum::<f64>() + last
     }
 
@@ -362,43 +364,43 @@ impl Chart {
         for (n, row) in self.rows().enumerate() {
             let marks = if n == 0 { self.marks_height() } else { 0.0 };
             for (column, panel) in row.iter().enumerate() {
-                let place = Place {
+                let area = PlotArea {
                     left: column as f64 * self.across() + LEFT,
                     top: top + TITLE_ROW + marks,
                     width: self.plot_width(),
                     height: panel.height,
                 };
                 let titles = top + TITLE_ROW - 9.0;
-                panel.draw_titles(&mut svg, &place, titles, column as f64 * self.across() + self.across());
+                panel.draw_titles(&mut svg, &area, titles, column as f64 * self.across() + self.across());
                 if n == 0 && column == 0 {
-                    self.draw_mark_labels(&mut svg, place.top);
+                    self.draw_mark_labels(&mut svg, area.top);
                 }
-                let along = self.range(panel);
-                let ticks = self.x_ticks(along);
-                panel.draw(&mut svg, &place, self.scale, along, &ticks, &self.marks);
-                bottom = place.top + panel.height;
-                if self.along.is_none() {
-                    self.draw_x_axis(&mut svg, (place.left, bottom), along, &ticks);
+                let x_range = self.range(panel);
+                let ticks = self.x_ticks(x_range);
+                panel.draw(&mut svg, &area, self.scale, x_range, &ticks, &self.marks);
+                bottom = area.top + panel.height;
+                if self.x_range.is_none() {
+                    self.draw_x_axis(&mut svg, (area.left, bottom), x_range, &ticks);
                 }
             }
             top += TITLE_ROW + marks + tallest(row) + self.below();
         }
-        if let Some(along) = self.along {
-            self.draw_x_axis(&mut svg, (LEFT, bottom), along, &self.x_ticks(along));
+        if let Some(x_range) = self.x_range {
+            self.draw_x_axis(&mut svg, (LEFT, bottom), x_range, &self.x_ticks(x_range));
         }
         svg.push_str("</svg>");
         svg
     }
 
-    /// The range of the axis along the bottom of a panel, in coordinates of the scale.
+    /// Returns the range of a panel's x axis, in coordinates of the scale.
     fn range(&self, panel: &Panel) -> (f64, f64) {
-        let coordinates = |(low, high)| (self.scale.of(low), self.scale.of(high));
-        self.along.map_or_else(|| panel.range_along(self.scale), coordinates)
+        let coordinates = |(low, high)| (self.scale.coordinate(low), self.scale.coordinate(high));
+        self.x_range.map_or_else(|| panel.x_range(self.scale), coordinates)
     }
 
     fn x_ticks(&self, range: (f64, f64)) -> Ticks {
-        let most = (self.plot_width() / TICK_DISTANCE_X) as usize;
-        Ticks::on(self.scale, range, most, Ladder::Decimal)
+        let max_ticks = (self.plot_width() / TICK_DISTANCE_X) as usize;
+        Ticks::on(self.scale, range, max_ticks, StepLadder::Decimal)
     }
 
     fn draw_x_axis(&self, svg: &mut String, (left, y): (f64, f64), range: (f64, f64), ticks: &Ticks) {
@@ -408,22 +410,27 @@ impl Chart {
             let _ = write!(svg, "<path class=\"a\" d=\"M{x} {}v4\"/>", px(y));
             text(svg, &format!("class=\"k c\" x=\"{x}\" y=\"{}\"", px(y + 17.0)), &label);
         }
-        let place = format!("class=\"u e\" x=\"{}\" y=\"{}\"", px(left + self.plot_width()), px(y + 33.0));
-        text(svg, &place, self.x_title);
+        let attributes =
+            format!("class=\"u e\" x=\"{}\" y=\"{}\"", px(left + self.plot_width()), px(y + 33.0));
+        text(svg, &attributes, self.x_title);
     }
 
-    /// Place of a mark in the plot, px from its left edge.
+    /// Returns the position of a mark, px from the left edge of the plot.
     fn mark_px(&self, mark: &Mark) -> f64 {
-        let (first, last) = self.along.unwrap_or_default();
-        along_px((self.scale.of(first), self.scale.of(last)), self.plot_width(), self.scale.of(mark.time_s))
+        let (first, last) = self.x_range.unwrap_or_default();
+        along_px(
+            (self.scale.coordinate(first), self.scale.coordinate(last)),
+            self.plot_width(),
+            self.scale.coordinate(mark.time_s),
+        )
     }
 
-    /// The marks' labels, above the first plot, whose top is at `bottom`.
+    /// Draws the marks' labels above the first plot, whose top is at `bottom`.
     fn draw_mark_labels(&self, svg: &mut String, bottom: f64) {
         for (mark, label) in self.marks.iter().zip(self.mark_labels()) {
             let y = bottom - label.row as f64 * MARK_ROW;
             let x = LEFT + self.mark_px(mark);
-            // From the label down to the first plot; the plots draw their own part.
+            // The line from the label down to the first plot; the plots draw their own part.
             let _ = write!(
                 svg,
                 "<path class=\"m\" stroke=\"{}\" d=\"M{} {}V{}\"/>",
@@ -433,16 +440,16 @@ impl Chart {
                 px(bottom)
             );
             let (class, x) = if label.leftwards { ("n e", x - 5.0) } else { ("n", x + 5.0) };
-            let place =
+            let attributes =
                 format!("class=\"{class}\" fill=\"{}\" x=\"{}\" y=\"{}\"", mark.colour, px(x), px(y - 2.0));
-            text(svg, &place, &mark.label);
+            text(svg, &attributes, &mark.label);
         }
     }
 
-    /// Places the marks' labels so that none covers another.
+    /// Lays out the marks' labels so that they do not overlap.
     fn mark_labels(&self) -> Vec<MarkLabel> {
         let mut placed: Vec<(usize, f64, f64)> = Vec::new();
-        let place = |mark: &Mark| {
+        let layout = |mark: &Mark| {
             let x = self.mark_px(mark);
             let length = text_width(&mark.label) + 10.0;
             let leftwards = x + length > self.plot_width();
@@ -452,38 +459,38 @@ impl Chart {
             placed.push((row, from, to));
             MarkLabel { row, leftwards }
         };
-        self.marks.iter().map(place).collect()
+        self.marks.iter().map(layout).collect()
     }
 }
 
-/// In a page.
+/// Renders the chart into a page.
 impl Render for Chart {
     fn render_to(&self, page: &mut String) {
         page.push_str(&self.to_svg());
     }
 }
 
-/// Where the label of a mark stands.
+/// Position of the label of a mark.
 struct MarkLabel {
-    /// Rows above the lowest.
+    /// Number of rows above the lowest row.
     row: usize,
-    /// Whether it stands to the left of its line.
+    /// True if the label is to the left of its line.
     leftwards: bool,
 }
 
-/// Height of the tallest plot in a row, px.
+/// Returns the height of the tallest plot in a row, px.
 fn tallest(row: &[Panel]) -> f64 {
     row.iter().map(|panel| panel.height).fold(0.0, f64::max)
 }
 
-/// A length in px, with as many digits as it needs.
+/// Formats a length in px, rounded to a tenth.
 fn px(value: f64) -> String {
     let rounded = libm::round(value * 10.0) / 10.0;
-    // Not "-0".
+    // Adding 0.0 turns "-0" into "0".
     format!("{}", rounded + 0.0)
 }
 
-/// Width of a label, px: that of a wide font, since the reader's is not known here.
+/// Returns the estimated width of a label, px, for a wide font, because the reader's font is unknown.
 fn text_width(label: &str) -> f64 {
     let em = |c: char| match c {
         ' ' | '\'' | ',' | '.' | ':' | 'f' | 'i' | 'j' | 'l' | 'r' | 't' => 0.38,
@@ -497,8 +504,8 @@ fn text(svg: &mut String, attributes: &str, content: &str) {
     let _ = write!(svg, "<text {attributes}>{}</text>", escaped(content));
 }
 
-/// Text as XML and HTML take it, in an element or in a quoted attribute. Control characters, which they do
-/// not take, become the replacement character.
+/// Escapes text for XML and HTML, in an element or in a quoted attribute. Control characters, which are invalid there,
+/// become the replacement character.
 pub fn escaped(text: &str) -> String {
     let mut out = String::with_capacity(text.len());
     for c in text.chars() {

@@ -1,4 +1,4 @@
-//! What the command-line programs have in common: answers in two forms, exit codes, progress bars.
+//! Shared by the command-line programs: results as text and as JSON, exit codes, progress bars.
 
 use std::process::ExitCode;
 
@@ -8,25 +8,25 @@ use serde_json::Value;
 
 use crate::output_file;
 
-/// Exit code of a flight or a check that failed.
+/// Exit code of a failed flight or check.
 pub const FAILED: u8 = 1;
-/// Exit code of bad input or usage; clap's own for usage.
+/// Exit code of bad input or usage: the code that clap uses for usage errors.
 pub const BAD_INPUT: u8 = 2;
 
-/// What a command found, in both forms.
+/// Result of a command, as text and as JSON.
 pub struct Answer {
-    /// For programs: one object.
+    /// The result for programs: one object.
     pub json: Value,
-    /// For people.
+    /// The result for people.
     pub text: String,
-    /// The flight or the check failed.
+    /// Whether the flight or the check failed.
     pub failed: bool,
 }
 
-/// Prints an answer, or why there is none, and ends with the exit code for it.
+/// Prints an answer on standard output, or an error on standard error, and returns the exit code.
 pub fn conclude(answer: Result<Answer, InputError>, json: bool) -> ExitCode {
     let printed = answer.and_then(|answer| {
-        // Names and descriptions come from files: their control characters must not reach the terminal.
+        // Names and descriptions come from files: replaces control characters, which could change the terminal.
         let shown = |text: String| text.replace(|c: char| c.is_control() && c != '\n', "\u{FFFD}");
         let line = if json { answer.json.to_string() } else { shown(answer.text) };
         output_file::print(line.trim_end())?;
@@ -42,7 +42,7 @@ pub fn conclude(answer: Result<Answer, InputError>, json: bool) -> ExitCode {
     }
 }
 
-/// A progress bar for this many of something, on standard error and only on a terminal.
+/// Returns a progress bar of `length` units with the label `what`, on standard error and only on a terminal.
 pub fn progress_bar(length: u64, what: &str) -> ProgressBar {
     let bar = ProgressBar::with_draw_target(Some(length), ProgressDrawTarget::stderr());
     let style = ProgressStyle::with_template("{msg} {wide_bar} {percent:>3} %  {eta} left");

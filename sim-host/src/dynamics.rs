@@ -1,8 +1,8 @@
 //! The true motion of the quadrotor: eqs 8-14 as a rigid body.
 //!
-//! The paper's eqs 8-10 equate the accelerations of Euler angles with those of the body, which holds for
-//! small angles, and its eqs 11-12 have the sign of yaw reversed against 7-10 and 13. Here the body turns by
-//! Euler's equations with a quaternion, and the thrust points where the rotation matrix says:
+//! The paper's eqs 8-10 equate the accelerations of Euler angles with those of the body, which holds only for
+//! small angles. Its eqs 11-12 have the opposite sign of yaw from eqs 7-10 and 13. Here the rotation follows Euler's
+//! equations with a quaternion, and the rotation matrix gives the direction of the thrust:
 //!
 //! ```text
 //!  m a = R (0, 0, −U1) + m g + ground + effects     a: north, east, down
@@ -11,12 +11,11 @@
 //!  Ω̇   = (Ω_wanted − Ω)/τ, or Ω = Ω_wanted
 //! ```
 //!
-//! Drag, the rotors' momentum and lag, and all else that is not in these lines is an effect that a scene
-//! names: see [`crate::effects::vehicle`]. The ground is there wherever the vehicle is free.
+//! Everything else, such as drag and the rotors' momentum and lag, is an effect that a scene names: see
+//! [`crate::effects::vehicle`]. The ground is always present unless the vehicle is on the ball joint.
 //!
-//! A step is a classical Runge-Kutta step of 4th order in position, velocity, attitude and rate. The rotors'
-//! lag does not depend on them, so the rotor speeds inside a step are known exactly, however short τ is.
-//! Everything is f64.
+//! A step is a classical 4th-order Runge-Kutta step in position, velocity, attitude and rate. The rotors' lag does not
+//! depend on them, so the rotor speeds inside a step are exact for any τ. All numbers are f64.
 
 mod ground;
 
@@ -27,16 +26,16 @@ pub use ground::Ground;
 use crate::effects::vehicle::{
     Body, BodyEffect, CommandEffect, Lag, Load, Point, Stage, ThrustEffect, VehicleEffect, WindEffect,
 };
-use crate::effects::{OPTIONAL, Snapshot};
+use crate::effects::{OPTIONAL_EFFECTS, Snapshot};
 
 pub use vehicle::{GRAVITY, VehicleParams};
 
 pub use crate::state::State;
 
-/// How the vehicle is held.
+/// The mounting of the vehicle in the world.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Mount {
-    /// Free, over a ground plane.
+    /// Free, above a ground plane.
     Free(Ground),
     /// The centre of gravity is fixed and the body turns about it: a test stand.
     BallJoint,
@@ -52,8 +51,8 @@ struct Slope {
 }
 
 impl Slope {
-    /// Where a vehicle is after a time `h`, from `state` on.
-    fn moved(&self, state: &State, h: f64) -> State {
+    /// Returns the state after a time `h`, s, from `state`, at this constant slope.
+    fn extrapolate(&self, state: &State, h: f64) -> State {
         let turned = Quaternion {
             w: state.attitude.w + self.attitude.w * h,
             v: state.attitude.v + self.attitude.v * h,
@@ -77,29 +76,30 @@ pub struct Vehicle {
     thrusts: Vec<Box<dyn ThrustEffect>>,
     bodies: Vec<Body>,
     step_s: f64,
-    /// Steps so far. Counted: a sum of 86.4 million times 0.001 s is 26 µs short of a day.
+    /// Steps so far. Time is this count times `step_s`, because a sum of 86.4 million times 0.001 s is 26 µs less than
+    /// a day.
     steps: u64,
     state: State,
     rotors: [f64; 4],
     wanted: [f64; 4],
-    /// Whether there is an effect on thrust or body.
-    affected_in_flight: bool,
+    /// True if there is an effect on thrust or body.
+    has_load_effects: bool,
     /// Velocity of the air in this step, m/s, north, east, down.
     wind: Vec3<f64>,
     /// Slope at the present state, for the sensors and the next step.
     slope: Slope,
-    /// Whether the loads jump with a command: see [`BodyEffect::follows_command_at_once`].
+    /// True if the loads jump with a command: see [`BodyEffect::follows_command_at_once`].
     jumps: bool,
-    /// Whether something has changed since `slope` that the next step starts with.
+    /// True if `slope` must be computed again before the next step.
     stale: bool,
-    /// ±d/b: yaw torque of the front left rotor for its thrust, m.
+    /// ±d/b: yaw torque of the front left rotor per thrust, m.
     torque_per_thrust: f64,
     per_mass: f64,
     per_inertia: Vec3<f64>,
 }
 
 impl Vehicle {
-    /// A vehicle at rest: on the ground, or level on its ball joint. `step_s` is the length of a step.
+    /// Creates a vehicle at rest: on the ground, or level on its ball joint. `step_s` is the length of a step.
     pub fn at_rest(
         params: VehicleParams,
         mount: Mount,
@@ -128,7 +128,7 @@ impl Vehicle {
             },
             rotors: [0.0; 4],
             wanted: [0.0; 4],
-            affected_in_flight: false,
+            has_load_effects: false,
             wind: Vec3::ZERO,
             slope: Slope {
                 velocity: Vec3::ZERO,
@@ -156,51 +156,51 @@ impl Vehicle {
                 VehicleEffect::Body(effect) => vehicle.bodies.push(effect),
             }
         }
-        vehicle.affected_in_flight = !(vehicle.thrusts.is_empty() && vehicle.bodies.is_empty());
+        vehicle.has_load_effects = !(vehicle.thrusts.is_empty() && vehicle.bodies.is_empty());
         vehicle.jumps = vehicle.bodies.iter().any(|effect| effect.follows_command_at_once());
         vehicle.update_wind();
         vehicle.slope = vehicle.slope_now();
         vehicle
     }
 
-    /// The present state.
+    /// Returns the present state.
     #[inline]
     pub fn state(&self) -> &State {
         &self.state
     }
 
-    /// Puts the vehicle into a state, as tests do.
+    /// Sets the state, for tests.
     pub fn set_state(&mut self, state: State, rotors: [f64; 4]) {
         self.state = state;
         self.rotors = rotors;
         self.slope = self.slope_now();
     }
 
-    /// Rotor speeds, rad/s.
+    /// Returns the rotor speeds, rad/s.
     #[inline]
     pub fn rotors(&self) -> [f64; 4] {
         self.rotors
     }
 
-    /// Specific force f = a − g in body axes, m/s²: what a perfect accelerometer at the centre of gravity
-    /// reads now.
+    /// Returns the specific force f = a − g in body axes, m/s²: the present reading of a perfect accelerometer at the
+    /// centre of gravity.
     #[inline]
     pub fn specific_force(&self) -> Vec3<f64> {
         let f = self.slope.acceleration - vec3(0.0, 0.0, GRAVITY);
         self.state.attitude.to_matrix().transpose() * f
     }
 
-    /// Acceleration of the centre of gravity, north, east, down, m/s².
+    /// Returns the acceleration of the centre of gravity, north, east, down, m/s².
     pub fn acceleration(&self) -> Vec3<f64> {
         self.slope.acceleration
     }
 
-    /// Angular acceleration in body axes, rad/s².
+    /// Returns the angular acceleration in body axes, rad/s².
     pub fn angular_acceleration(&self) -> Vec3<f64> {
         self.slope.angular_acceleration
     }
 
-    /// Whether a foot touches the ground.
+    /// Returns true if a foot touches the ground.
     pub fn touches_ground(&self) -> bool {
         match self.mount {
             Mount::Free(ground) => ground.touches(&self.params, &self.state),
@@ -208,21 +208,21 @@ impl Vehicle {
         }
     }
 
-    /// Whether the vehicle is on its stand, and cannot go anywhere.
+    /// Returns true if the vehicle is on its test stand, so that its position is fixed.
     #[inline]
     pub fn is_held(&self) -> bool {
         self.mount == Mount::BallJoint
     }
 
-    /// Terminal voltage of the battery, V, if the scene has one.
+    /// Returns the terminal voltage of the battery, V, if the scene simulates one.
     #[inline(always)]
     pub fn battery_v(&self) -> Option<f64> {
         self.commands.iter().find_map(|effect| effect.battery_v())
     }
 
-    /// The truth now, for sensors and effects.
+    /// Returns the present truth, for sensors and effects.
     #[inline(always)]
-    pub fn moment(&self) -> Snapshot<'_> {
+    pub fn snapshot(&self) -> Snapshot<'_> {
         Snapshot {
             time_s: self.steps as f64 * self.step_s,
             state: &self.state,
@@ -232,27 +232,27 @@ impl Vehicle {
         }
     }
 
-    /// Sets the speeds that the ESCs ask of the rotors, rad/s.
+    /// Sets the commanded rotor speeds, rad/s.
     #[inline]
     pub fn command(&mut self, mut wanted: [f64; 4]) {
-        if OPTIONAL && !self.commands.is_empty() {
+        if OPTIONAL_EFFECTS && !self.commands.is_empty() {
             let mut effects = std::mem::take(&mut self.commands);
-            let at = self.moment();
+            let at = self.snapshot();
             effects.iter_mut().for_each(|effect| effect.apply(&mut wanted, &at));
             self.commands = effects;
         }
         self.wanted = wanted;
-        if !OPTIONAL || self.lag.is_none() {
+        if !OPTIONAL_EFFECTS || self.lag.is_none() {
             self.rotors = wanted;
             self.slope = self.slope_now();
         }
-        self.stale |= OPTIONAL && self.jumps;
+        self.stale |= OPTIONAL_EFFECTS && self.jumps;
     }
 
-    /// Moves on by one step.
+    /// Advances the vehicle by one step.
     #[inline]
     pub fn advance(&mut self) {
-        if OPTIONAL && self.stale {
+        if OPTIONAL_EFFECTS && self.stale {
             self.stale = false;
             self.slope = self.slope_now();
         }
@@ -262,9 +262,9 @@ impl Vehicle {
         let at = self.state;
 
         let k1 = self.slope;
-        let k2 = self.slope_at(&k1.moved(&at, 0.5 * h), &middle);
-        let k3 = self.slope_at(&k2.moved(&at, 0.5 * h), &middle);
-        let k4 = self.slope_at(&k3.moved(&at, h), &end);
+        let k2 = self.slope_at(&k1.extrapolate(&at, 0.5 * h), &middle);
+        let k3 = self.slope_at(&k2.extrapolate(&at, 0.5 * h), &middle);
+        let k4 = self.slope_at(&k3.extrapolate(&at, h), &end);
 
         let sixth = h / 6.0;
         let mean = |f: fn(&Slope) -> Vec3<f64>| (f(&k1) + (f(&k2) + f(&k3)) * 2.0 + f(&k4)) * sixth;
@@ -279,16 +279,16 @@ impl Vehicle {
         };
         self.rotors = end;
         self.steps += 1;
-        if OPTIONAL && !self.winds.is_empty() {
+        if OPTIONAL_EFFECTS && !self.winds.is_empty() {
             self.update_wind();
         }
         self.slope = self.slope_at(&self.state, &end);
     }
 
-    /// The air's velocity from here on. The slope that follows is that of the new wind.
+    /// Updates the velocity of the air. The caller must compute the slope again afterwards.
     fn update_wind(&mut self) {
         let mut effects = std::mem::take(&mut self.winds);
-        let at = self.moment();
+        let at = self.snapshot();
         self.wind = effects.iter_mut().fold(Vec3::ZERO, |sum, effect| sum + effect.velocity(&at));
         self.winds = effects;
     }
@@ -297,7 +297,7 @@ impl Vehicle {
     fn rotors_at(&self, point: Point) -> [f64; 4] {
         let mut rotors = self.rotors;
         if let Some(lag) = &self.lag
-            && OPTIONAL
+            && OPTIONAL_EFFECTS
         {
             for (rotor, wanted) in rotors.iter_mut().zip(self.wanted) {
                 *rotor = lag.at(point, *rotor, wanted);
@@ -315,8 +315,8 @@ impl Vehicle {
         let p = &self.params;
         let matrix = state.attitude.to_matrix();
         let thrusts = rotors.map(|speed| p.thrust_coefficient * (speed * speed));
-        let mut load = if OPTIONAL && self.affected_in_flight {
-            self.affected(state, &matrix, rotors, thrusts)
+        let mut load = if OPTIONAL_EFFECTS && self.has_load_effects {
+            self.load_with_effects(state, &matrix, rotors, thrusts)
         } else {
             self.load(state, &matrix, thrusts, thrusts)
         };
@@ -348,8 +348,8 @@ impl Vehicle {
 }
 
 impl Vehicle {
-    /// What rotors with these thrusts do to the body, and its own turning. The reaction torque is that of the
-    /// propellers' own drag, in proportion to the thrusts that no effect has changed.
+    /// Returns the load of rotors with these thrusts, with the gyroscopic torque of the body. The reaction torque comes
+    /// from the drag of the propellers, so it is proportional to the thrusts without effects (`unchanged`).
     #[inline(always)]
     fn load(&self, state: &State, matrix: &Mat3<f64>, thrusts: [f64; 4], unchanged: [f64; 4]) -> Load {
         let ([t1, t2, t3, t4], [q1, q2, q3, q4]) = (thrusts, unchanged);
@@ -363,10 +363,16 @@ impl Vehicle {
         }
     }
 
-    /// The same with the effects of the scene. By itself, so that a flight without any does not prepare for
-    /// them.
+    /// Returns the load with the effects of the scene. It is a separate function, so that a flight without effects does
+    /// not set up its stack frame.
     #[inline(never)]
-    fn affected(&self, state: &State, matrix: &Mat3<f64>, rotors: &[f64; 4], unchanged: [f64; 4]) -> Load {
+    fn load_with_effects(
+        &self,
+        state: &State,
+        matrix: &Mat3<f64>,
+        rotors: &[f64; 4],
+        unchanged: [f64; 4],
+    ) -> Load {
         let mut rotor_accelerations = [0.0; 4];
         if let Some(lag) = &self.lag {
             for (i, acceleration) in rotor_accelerations.iter_mut().enumerate() {
@@ -392,7 +398,7 @@ impl Vehicle {
     }
 }
 
-/// The body's z axis in the world: thrust points the other way.
+/// Returns the body's z axis in world axes. Thrust acts in the opposite direction.
 #[inline(always)]
 fn thrust_direction(matrix: &Mat3<f64>) -> Vec3<f64> {
     vec3(matrix[0].z, matrix[1].z, matrix[2].z)

@@ -1,12 +1,11 @@
-//! The command `estimate`: the flight code's estimators run over a recorded log, and scored against its
-//! reference attitude.
+//! The command `estimate`: runs the flight code's estimators over a log and compares them with its reference attitude.
 //!
-//! The estimators see what they see in flight: f32, time in whole microseconds, the magnetometer only where
-//! it has a new sample. There is no prefilter unless asked for, the first sample sets the attitude, and the
-//! declination is 0. `flight` has its gyroscope zeroed, as it has before arming: from the beginning of the
-//! log to the first motion. The others take the gyroscope as it is, like the paper.
+//! The estimators get the same input as in flight: f32, time in whole microseconds, the magnetometer only in rows with a
+//! new sample. The prefilter is off unless the request has a cutoff. The first sample sets the attitude, and the declination
+//! is 0. For `flight` the gyroscope is zeroed, as before arming: from the start of the log to the first motion. The other
+//! estimators use the gyroscope uncorrected, as the paper does.
 //!
-//! The score is computed in f64 ([`AttitudeError`]) over the rows that move and have a reference.
+//! The errors are computed in f64 ([`AttitudeError`]) over the moving rows that have a reference.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -22,25 +21,25 @@ use serde::Serialize;
 
 use crate::attitude_error::{AttitudeError, AttitudeRmse};
 use crate::log::{Axes, Log};
-use crate::output_file::{OutputFile, spare};
+use crate::output_file::{OutputFile, check_outputs};
 use input::InputError;
 
-/// What to run, over what.
+/// Arguments of [`run`].
 #[derive(Clone, Debug, Default)]
 pub struct Request {
     /// The log.
     pub log: PathBuf,
-    /// The conventions of its axes.
+    /// Conventions of its axes.
     pub axes: Axes,
     /// Names of presets ([`EstimatorParams::PRESETS`]); empty means all of them.
     pub estimators: Vec<String>,
-    /// Cutoff of the Butterworth prefilter on every axis of every sensor, Hz; `None` leaves it out.
+    /// Cutoff of the Butterworth prefilter on every axis of every sensor, Hz; `None`: no prefilter.
     pub prefilter_hz: Option<f64>,
-    /// Where to write the estimated attitudes and their errors, row by row.
+    /// File for the estimated attitude and its error of each row.
     pub out: Option<PathBuf>,
 }
 
-/// What `estimate --json` prints.
+/// Result of [`run`], and the JSON object of `estimate --json`.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Report {
     /// The score of each estimator, by its name.
@@ -48,32 +47,32 @@ pub struct Report {
     /// Rows of the log.
     #[serde(skip)]
     pub rows: usize,
-    /// Rows that count in the errors.
+    /// Rows that count in the errors: moving, with a reference.
     #[serde(skip)]
     pub scored_rows: u64,
 }
 
-/// How one estimator did. The errors are `None` (JSON: null) if no row counts.
+/// Errors and time of one estimator. The errors are `None` (JSON: null) if no row counts.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Score {
-    /// Root mean square of the whole error, degrees.
+    /// RMSE of the attitude, degrees.
     pub total_rmse_deg: Option<f64>,
-    /// Of its turn about the vertical, degrees.
+    /// RMSE of the heading (rotation about the vertical), degrees.
     pub heading_rmse_deg: Option<f64>,
-    /// Of its turn about a level axis, degrees.
+    /// RMSE of the inclination (rotation about a horizontal axis), degrees.
     pub inclination_rmse_deg: Option<f64>,
-    /// Time of one update on this machine, ns: the quickest of several passes over the log.
+    /// Time of one update on this machine, ns: the shortest of several passes over the log.
     pub ns_per_update: f64,
 }
 
 /// Runs the estimators over the log.
 ///
 /// # Errors
-/// An unknown estimator, a cutoff not below half the rate of every sensor, and whatever is wrong with the log
-/// or with the place for the output.
+/// An estimator is unknown, the cutoff is not below half the rate of every sensor, the log has an error, or the output
+/// cannot be written.
 pub fn run(request: &Request) -> Result<Report, InputError> {
     let presets = presets(&request.estimators)?;
-    spare(&[&request.log], &[("--out", request.out.as_deref())])?;
+    check_outputs(&[&request.log], &[("--out", request.out.as_deref())])?;
     let log = Log::read(&request.log, request.axes)?;
     let samples = samples(&log, request)?;
     let still = GyroAtRest::learn(&samples);
@@ -111,7 +110,7 @@ pub fn run(request: &Request) -> Result<Report, InputError> {
     Ok(report)
 }
 
-/// The presets called `names`, or all of them.
+/// Returns the presets with these names, or all for no names.
 fn presets(names: &[String]) -> Result<Vec<(&'static str, EstimatorParams)>, InputError> {
     let all = EstimatorParams::PRESETS;
     if names.is_empty() {
@@ -130,23 +129,23 @@ fn presets(names: &[String]) -> Result<Vec<(&'static str, EstimatorParams)>, Inp
     Ok(chosen)
 }
 
-/// One row as the flight code sees it: rad/s, m/s², µT, body axes, prefiltered.
+/// One row as input of the flight code: body axes, prefiltered.
 #[derive(Clone, Copy, Debug)]
 pub struct Sample {
-    /// Rates, rad/s.
+    /// Angular rates, rad/s.
     pub gyro: Vec3<f32>,
     /// Specific force, m/s².
     pub accel: Vec3<f32>,
-    /// Field, µT, in the rows that have it.
+    /// Magnetic field, µT; `None` in rows without a sample.
     pub mag: Option<Vec3<f32>>,
-    /// Time since the sample before, s.
+    /// Time since the previous sample, s.
     pub dt_s: f32,
 }
 
-/// A log's rows as the flight code sees them.
+/// Converts the rows of a log into the input of the flight code.
 ///
 /// # Errors
-/// A prefilter that the log's rate does not allow.
+/// The rate of the log does not allow the cutoff of the prefilter.
 pub fn samples(log: &Log, request: &Request) -> Result<Vec<Sample>, InputError> {
     let mag_rows = log.rows.iter().filter(|row| row.mag_ut.is_some());
     let mut gyro_filter = prefilter(request, "gyroscope", log.rows.iter().map(|row| row.time_s))?;
@@ -170,7 +169,7 @@ pub fn samples(log: &Log, request: &Request) -> Result<Vec<Sample>, InputError> 
         .collect())
 }
 
-/// The prefilter for a sensor that was sampled at these times, s.
+/// Returns the prefilter for a sensor that was sampled at these times, s.
 fn prefilter(
     request: &Request,
     sensor: &str,
@@ -179,7 +178,7 @@ fn prefilter(
     let Some(cutoff_hz) = request.prefilter_hz else { return Ok(Prefilter::new(None)) };
     let intervals = times.clone().count().saturating_sub(1);
     let (Some(first), Some(last)) = (times.clone().next(), times.last()) else {
-        // A sensor that isn't there needs no filter.
+        // The log has no samples of this sensor.
         return Ok(Prefilter::new(None));
     };
     let refused = |allowed: String| InputError::new(allowed).field("--prefilter-hz").value(cutoff_hz);
@@ -196,21 +195,21 @@ fn prefilter(
     Ok(Prefilter::new(Some(section)))
 }
 
-/// What the gyroscope read before anything moved.
+/// Gyroscope bias that was learned at rest, before the first motion.
 pub struct GyroAtRest {
-    /// The bias as it was known at each sample up to the first motion, rad/s.
+    /// Estimated bias after each sample up to the first motion, rad/s.
     biases: Vec<Vec3<f32>>,
 }
 
 impl GyroAtRest {
-    /// Learns from the samples up to the first motion.
+    /// Learns the bias from the samples up to the first motion.
     pub fn learn(samples: &[Sample]) -> Self {
         let mut zero = GyroZero::default();
         let mut biases = Vec::new();
         for sample in samples {
             zero.learn(sample.gyro, sample.accel, sample.dt_s);
             if zero.zeroed() && !zero.still() {
-                // In flight nothing is learnt any more: a slow steady turn would pass for a bias.
+                // In motion nothing is learned: a slow steady turn would look like a bias.
                 break;
             }
             biases.push(zero.bias());
@@ -218,7 +217,7 @@ impl GyroAtRest {
         Self { biases }
     }
 
-    /// The samples less the bias as it was known at each.
+    /// Returns the samples with the bias subtracted that was known at each.
     pub fn zero(&self, samples: &[Sample]) -> Vec<Sample> {
         let last = self.biases.last().copied().unwrap_or(Vec3::ZERO);
         let biases = self.biases.iter().copied().chain(std::iter::repeat(last));
@@ -230,7 +229,7 @@ fn estimator(params: &EstimatorParams) -> Result<Estimator, InputError> {
     Estimator::new(params).map_err(|error| InputError::new(error.to_string()))
 }
 
-/// The attitude after each sample.
+/// Returns the attitude after each sample.
 fn attitudes(params: &EstimatorParams, samples: &[Sample]) -> Result<Vec<Quaternion<f32>>, InputError> {
     let mut estimator = estimator(params)?;
     Ok(samples
@@ -242,7 +241,7 @@ fn attitudes(params: &EstimatorParams, samples: &[Sample]) -> Result<Vec<Quatern
         .collect())
 }
 
-/// The error of each row; `None` where the truth is unknown.
+/// Returns the error of each row; `None` in rows without a reference.
 fn errors(log: &Log, attitudes: &[Quaternion<f32>]) -> Vec<Option<AttitudeError>> {
     let double = |[w, x, y, z]: [f32; 4]| Quaternion::new(w.into(), x.into(), y.into(), z.into());
     log.rows
@@ -255,11 +254,11 @@ fn errors(log: &Log, attitudes: &[Quaternion<f32>]) -> Vec<Option<AttitudeError>
         .collect()
 }
 
-/// Time of one update, ns: passes over the log until 50 ms are spent and three are done, and the quickest
-/// counts, because everything else that a machine does only makes a pass slower.
+/// Measures the time of one update, ns. Makes at least three passes over the log and for at least 50 ms, and takes the
+/// shortest pass: other work of the machine only makes a pass longer.
 fn ns_per_update(params: &EstimatorParams, samples: &[Sample]) -> Result<f64, InputError> {
     let fresh = estimator(params)?;
-    let (mut quickest, mut spent, mut passes) = (Duration::MAX, Duration::ZERO, 0);
+    let (mut shortest, mut spent, mut passes) = (Duration::MAX, Duration::ZERO, 0);
     while passes < 3 || spent < Duration::from_millis(50) {
         let mut estimator = fresh;
         let start = Instant::now();
@@ -268,22 +267,22 @@ fn ns_per_update(params: &EstimatorParams, samples: &[Sample]) -> Result<f64, In
         }
         black_box(estimator.attitude());
         let took = start.elapsed();
-        quickest = quickest.min(took);
+        shortest = shortest.min(took);
         spent += took;
         passes += 1;
     }
-    Ok(quickest.as_secs_f64() * 1e9 / samples.len() as f64)
+    Ok(shortest.as_secs_f64() * 1e9 / samples.len() as f64)
 }
 
-/// What one estimator adds to the output.
+/// Attitudes and errors of one estimator, for the output file.
 struct Column {
     name: &'static str,
     attitudes: Vec<Quaternion<f32>>,
     errors: Vec<Option<AttitudeError>>,
 }
 
-/// Writes time, and for each estimator the attitude (body to world, north-east-down) and the three errors
-/// in degrees; the errors are empty where the truth is unknown.
+/// Writes the time and, for each estimator, the attitude (body to world, north-east-down) and the three errors in
+/// degrees. The errors are empty in rows without a reference.
 fn write_attitudes(path: &Path, log: &Log, columns: &[Column]) -> Result<(), InputError> {
     let mut file = OutputFile::create(path)?;
     let written = (|| {
@@ -317,7 +316,7 @@ fn write_attitudes(path: &Path, log: &Log, columns: &[Column]) -> Result<(), Inp
     file.finish()
 }
 
-/// A table for people.
+/// Formats the errors and times as a table.
 impl fmt::Display for Report {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         writeln!(f, "RMSE over {} of {} rows, degrees", self.scored_rows, self.rows)?;
@@ -346,9 +345,10 @@ mod tests {
     use super::*;
     use crate::log::{LogRow, LogWriter};
 
-    /// Level, facing east, turning right at 10°/s from 4 s to 13 s, with a gyroscope bias about x.
+    /// Gyroscope bias about x in the test log, rad/s.
     const BIAS: f64 = 0.01;
 
+    /// Returns a log of a level vehicle that faces east and turns right at 10°/s from 4 s to 13 s.
     fn rows(rate_hz: i32, seconds: i32) -> Vec<LogRow> {
         let field_north_down = [20.0, 40.0];
         (0..rate_hz * seconds)
@@ -361,7 +361,7 @@ mod tests {
                     time_s,
                     gyro_rad_s: [BIAS, 0.0, rate],
                     accel_m_s2: [0.0, 0.0, -9.806_65],
-                    // Every fifth row: magnetometers are slow.
+                    // In every fifth row: magnetometers are slower.
                     mag_ut: (k % 5 == 0).then(|| [north * libm::cos(yaw), -north * libm::sin(yaw), down]),
                     reference: Some([libm::cos(0.5 * yaw), 0.0, 0.0, libm::sin(0.5 * yaw)]),
                     moving: time_s >= 4.0,
@@ -382,7 +382,7 @@ mod tests {
     }
 
     #[test]
-    fn a_clean_turn_is_followed_and_only_flight_is_rid_of_the_bias() {
+    fn clean_turn_is_tracked_and_only_flight_removes_the_bias() {
         let (_directory, request) = written(&rows(200, 20));
         let report = run(&request).unwrap();
         assert_eq!((report.rows, report.scored_rows), (4000, 3200));
@@ -395,14 +395,14 @@ mod tests {
             assert!(score.total_rmse_deg.unwrap() < bound, "{name}: {score:?}");
             assert!(score.ns_per_update > 0.0 && score.ns_per_update < 1e6, "{name}: {score:?}");
         }
-        // A bias b leaves an error of τ b in eq 18.
+        // In eq 18 a bias b causes an error τ b, with τ = 0.3233 s.
         let inclination = report.estimators["paper"].inclination_rmse_deg.unwrap();
         let expected = (0.3233 * BIAS).to_degrees();
         assert!((inclination / expected - 1.0).abs() < 0.02, "{inclination} against {expected}");
     }
 
     #[test]
-    fn the_json_has_the_keys_that_others_rely_on() {
+    fn json_and_table_have_the_documented_form() {
         let report = Report {
             estimators: BTreeMap::from([(
                 "paper",
@@ -429,7 +429,7 @@ mod tests {
     }
 
     #[test]
-    fn without_a_reference_there_is_no_error() {
+    fn log_without_reference_gives_no_rmse() {
         let mut rows = rows(100, 2);
         rows.iter_mut().for_each(|row| row.reference = None);
         let (_directory, request) = written(&rows);
@@ -439,7 +439,7 @@ mod tests {
     }
 
     #[test]
-    fn the_output_has_a_row_for_every_sample() {
+    fn output_has_a_row_for_every_sample() {
         let mut rows = rows(100, 2);
         rows[1].reference = None;
         let (directory, mut request) = written(&rows);
@@ -460,7 +460,7 @@ mod tests {
     }
 
     #[test]
-    fn the_output_does_not_replace_the_log() {
+    fn output_does_not_overwrite_the_log() {
         let (_directory, mut request) = written(&rows(100, 1));
         let before = std::fs::read(&request.log).unwrap();
         request.out = Some(request.log.clone());
@@ -473,7 +473,7 @@ mod tests {
     }
 
     #[test]
-    fn the_prefilter_knows_the_rate_of_each_sensor() {
+    fn prefilter_cutoff_is_checked_against_each_sensors_rate() {
         let (_directory, mut request) = written(&rows(200, 2));
         request.prefilter_hz = Some(19.0);
         assert!(run(&request).is_ok());
@@ -501,7 +501,7 @@ mod tests {
     }
 
     #[test]
-    fn an_unknown_estimator_is_answered_with_the_known_ones() {
+    fn unknown_estimator_error_lists_the_known_ones() {
         let request = Request { estimators: vec!["kalman".into()], ..Request::default() };
         assert_eq!(
             run(&request).unwrap_err().to_string(),

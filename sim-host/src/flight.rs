@@ -1,4 +1,4 @@
-//! A flight: the world and the flight controller, step by step, judged on the truth.
+//! A flight: the simulated world and the flight controller, step by step, evaluated against the truth.
 //!
 //! ```text
 //!  t_k:  truth ──► sensors ──► counts ─┐
@@ -6,15 +6,15 @@
 //!  t_k → t_k+1:  vehicle.advance()
 //! ```
 //!
-//! Gyroscope and accelerometer are sampled every step, the magnetometer a hundred times a second, the
-//! receiver and the battery fifty times. Time is integer microseconds.
+//! Gyroscope and accelerometer are sampled at every step, the magnetometer at 100 Hz, the receiver and the battery at
+//! 50 Hz. Time is in integer microseconds.
 //!
-//! Samples of the magnetometer arrive at multiples of 10 ms, readings of the battery at multiples of 20 ms,
-//! whatever a scene names: so the board's tasks, which look every 5 and every 20 ms, bring them in the same
-//! step. Frames of the receiver may arrive in any step.
+//! Samples of the magnetometer arrive at multiples of 10 ms, readings of the battery at multiples of 20 ms, in every
+//! scene. So the board's tasks, which poll every 5 ms and every 20 ms, deliver them in the same step. Frames of the
+//! receiver may arrive in any step.
 //!
-//! Who flies is an [`Autopilot`]: the flight code in this process, or the firmware at the far end of a link
-//! ([`crate::hil`]).
+//! The vehicle is flown by an [`Autopilot`]: the flight code in this process, or the firmware at the other end of a
+//! link ([`crate::hil`]).
 
 mod autopilot;
 mod log;
@@ -30,12 +30,12 @@ use xxhash_rust::xxh3::Xxh3;
 use crate::attitude_error::{AttitudeError, AttitudeRmse};
 use crate::dynamics::{State, Vehicle};
 use crate::effects::delivery::BoxedDelivery;
-use crate::effects::{OPTIONAL, Snapshot};
+use crate::effects::{OPTIONAL_EFFECTS, Snapshot};
 use crate::pilot::{FRAME_RATE_HZ, Pilot};
 use crate::scene::{DEFAULT_RATE_HZ, MAG_RATE_HZ, Scene};
 use crate::sensors::{Sensors, deliver};
 
-pub use autopilot::{Answer, Autopilot};
+pub use autopilot::{Autopilot, AutopilotOutput};
 pub use log::FlightLog;
 
 /// Length of a step, µs.
@@ -45,17 +45,17 @@ const RC_US: u64 = 1_000_000 / FRAME_RATE_HZ as u64;
 /// Time between two readings of the battery, µs.
 const BATTERY_US: u64 = 20_000;
 
-/// A cell of the battery where the scene names no sag, V.
+/// Voltage of a battery cell in a scene without the effect `battery_sag`, V.
 const CELL_V: f64 = 3.7;
 
-/// Touch-down faster than this is a crash, m/s.
+/// Maximum speed of a touch-down, m/s; a faster one is a crash.
 const MAX_TOUCH_DOWN_M_S: f64 = 2.0;
-/// Touch-down further from level than this is a crash: cos 45°.
+/// Cosine of the maximum tilt at touch-down, 45°; a larger tilt is a crash.
 const MIN_TOUCH_DOWN_COS: f64 = std::f64::consts::FRAC_1_SQRT_2;
-/// Further from the pilot's target than this is a crash, m.
-const MAX_ASTRAY_M: f64 = 20.0;
+/// Maximum distance from the pilot's target, m; a larger one is a crash.
+const MAX_DISTANCE_M: f64 = 20.0;
 
-/// Why a flight counts as crashed.
+/// The cause of a crash.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Crash {
     /// A number of the state is not finite.
@@ -71,11 +71,11 @@ pub enum Crash {
 }
 
 impl Crash {
-    /// All of them.
+    /// All causes.
     pub const ALL: [Self; 5] =
         [Self::NotFinite, Self::HardTouchDown, Self::TiltedTouchDown, Self::TippedOver, Self::FlownAway];
 
-    /// For programs.
+    /// Returns the name for programs.
     pub fn name(self) -> &'static str {
         match self {
             Self::NotFinite => "not_finite",
@@ -86,7 +86,7 @@ impl Crash {
         }
     }
 
-    /// For people.
+    /// Returns the description for users.
     pub fn text(self) -> &'static str {
         match self {
             Self::NotFinite => "a number of the state is not finite",
@@ -98,34 +98,34 @@ impl Crash {
     }
 }
 
-/// What an observer sees of a step.
+/// The data of a step, for observers.
 #[derive(Debug)]
 pub struct StepView<'a> {
     /// Time, µs.
     pub time_us: u64,
     /// The truth at this time.
     pub truth: &'a State,
-    /// The truth as the sensors and effects see it.
-    pub moment: Snapshot<'a>,
-    /// Where the pilot wants the vehicle, north, east, down, m.
+    /// The truth as input of sensors and effects.
+    pub snapshot: Snapshot<'a>,
+    /// The pilot's target, north, east, down, m.
     pub target_m: Option<Vec3<f64>>,
     /// True rotor speeds, rad/s.
     pub rotors_rad_s: [f64; 4],
-    /// What went into the flight controller.
+    /// Input of the flight controller.
     pub input: &'a Input,
-    /// What came out.
-    pub output: &'a Answer,
+    /// Output of the flight controller.
+    pub output: &'a AutopilotOutput,
     /// Estimated attitude.
     pub estimate: Quaternion<f64>,
 }
 
-/// Someone who watches a flight: a log, a report, a progress bar.
+/// An observer of a flight, such as a log, a report or a progress bar.
 pub trait Observer {
-    /// Called at every step, before the vehicle moves on.
+    /// Receives a step. Called at every step, before the vehicle advances.
     fn step(&mut self, view: &StepView);
 }
 
-/// Nobody watches.
+/// No observer.
 impl Observer for () {
     fn step(&mut self, _: &StepView) {}
 }
@@ -151,16 +151,16 @@ impl<T: Observer> Observer for &mut T {
     }
 }
 
-/// How a flight went.
+/// The result of a flight.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Outcome {
     /// Steps flown.
     pub control_steps: u64,
-    /// Estimated attitude against the truth, degrees, over the whole flight.
+    /// RMSE of the estimated attitude over the whole flight, degrees.
     pub attitude_rmse_deg: f64,
-    /// The heading's part of it, degrees.
+    /// RMSE of the estimated heading, degrees.
     pub heading_rmse_deg: f64,
-    /// The tilt's part of it, degrees.
+    /// RMSE of the estimated tilt, degrees.
     pub inclination_rmse_deg: f64,
     /// Largest error of the estimated tilt, degrees.
     pub tilt_error_max_deg: f64,
@@ -168,31 +168,31 @@ pub struct Outcome {
     pub tilt_max_deg: f64,
     /// Largest true distance from the pilot's target while airborne, m.
     pub position_error_max_m: f64,
-    /// Why and when it crashed, s.
+    /// Cause and time (s) of the crash, if the flight crashed.
     pub crash: Option<(Crash, f64)>,
-    /// The flight controller's state at the end.
+    /// Arm state at the end.
     pub final_state: ArmState,
     /// Hash of the whole trajectory: truth and pulses of every step.
     pub digest: u64,
 }
 
 impl Outcome {
-    /// Time flown, s.
+    /// Returns the duration flown, s.
     pub fn flown_s(&self) -> f64 {
         (self.control_steps * STEP_US) as f64 * 1e-6
     }
 }
 
-/// A flight under way: the world, and who flies in it.
+/// A flight in progress: the world and the autopilot.
 pub struct Flight<A = FlightController> {
     world: World,
     autopilot: A,
     steps: u64,
 }
 
-/// Everything but the flight controller: vehicle, sensors, pilot, radio link and the judge.
+/// Everything except the flight controller: vehicle, sensors, pilot, radio link and statistics.
 ///
-/// A step is [`World::sense`], then whatever the flight controller makes of it, then [`World::act`].
+/// A step is [`World::sense`], then a step of the flight controller, then [`World::act`].
 pub struct World {
     vehicle: Vehicle,
     sensors: Sensors,
@@ -207,12 +207,12 @@ pub struct World {
     supply: Battery,
     next_battery_us: u64,
     airborne: bool,
-    judge: Judge,
+    statistics: Statistics,
 }
 
-/// Running sums of what an [`Outcome`] says.
+/// Running statistics for the [`Outcome`].
 #[derive(Default)]
-struct Judge {
+struct Statistics {
     rmse: AttitudeRmse,
     inclination_max_rad: f64,
     min_cos_tilt: f64,
@@ -221,14 +221,14 @@ struct Judge {
 }
 
 impl Flight {
-    /// The start of a flight of this scene with this seed, flown in this process.
+    /// Prepares a flight of this scene with this seed, with the flight code in this process.
     pub fn new(scene: &Scene, seed: u64) -> Self {
-        Self::flown_by(scene.controller(), scene, seed)
+        Self::with_autopilot(scene.controller(), scene, seed)
     }
 }
 
 impl<A: Autopilot<Error = Infallible>> Flight<A> {
-    /// Flies to the end, or to the crash.
+    /// Flies to the end or to a crash.
     pub fn run(self, observer: &mut impl Observer) -> Outcome {
         let (outcome, Ok(())) = self.fly(observer);
         outcome
@@ -236,12 +236,18 @@ impl<A: Autopilot<Error = Infallible>> Flight<A> {
 }
 
 impl<A: Autopilot> Flight<A> {
-    /// The start of a flight of this scene with this seed, flown by this autopilot.
-    pub fn flown_by(autopilot: A, scene: &Scene, seed: u64) -> Self {
-        Self { world: World::new(scene, seed), autopilot, steps: steps_of(scene) }
+    /// Prepares a flight of this scene with this seed and this autopilot.
+    pub fn with_autopilot(autopilot: A, scene: &Scene, seed: u64) -> Self {
+        Self { world: World::new(scene, seed), autopilot, steps: step_count(scene) }
     }
 
-    /// Flies to the end, to the crash, or until the autopilot fails; then with the outcome up to there.
+    /// Returns the sensors, to add effects that no scene can name: see the example `own_effect`.
+    pub fn sensors_mut(&mut self) -> &mut Sensors {
+        &mut self.world.sensors
+    }
+
+    /// Flies to the end, to a crash, or until the autopilot fails. After a failure the outcome covers the steps before
+    /// it.
     pub fn fly(mut self, observer: &mut impl Observer) -> (Outcome, Result<(), A::Error>) {
         for step in 0..self.steps {
             match self.step(observer) {
@@ -261,18 +267,18 @@ impl<A: Autopilot> Flight<A> {
     }
 }
 
-/// How many steps a flight of this scene takes.
-pub fn steps_of(scene: &Scene) -> u64 {
+/// Returns the number of steps of a flight of this scene.
+pub fn step_count(scene: &Scene) -> u64 {
     (scene.duration_s * f64::from(DEFAULT_RATE_HZ)).round() as u64
 }
 
 impl World {
-    /// The world of this scene with this seed, before its first step.
+    /// Creates the world of this scene with this seed, before its first step.
     pub fn new(scene: &Scene, seed: u64) -> Self {
         let step_s = STEP_US as f64 * 1e-6;
         let rate_hz = f64::from(DEFAULT_RATE_HZ);
         let knowledge = scene.pilot_knowledge();
-        let (scene, _) = scene.of_run(seed);
+        let (scene, _) = scene.for_run(seed);
         let vehicle =
             Vehicle::at_rest(scene.vehicle, scene.mount(), scene.vehicle_effects(seed, rate_hz), step_s);
         let pilot = scene.pilot.as_ref().map(|p| Pilot::new(p, scene.duration_s, knowledge, vehicle.state()));
@@ -290,60 +296,60 @@ impl World {
             supply: Battery { voltage_v: (CELL_V * f64::from(scene.design.cells)) as f32 },
             next_battery_us: 0,
             airborne: false,
-            judge: Judge { min_cos_tilt: 1.0, ..Judge::default() },
+            statistics: Statistics { min_cos_tilt: 1.0, ..Statistics::default() },
         }
     }
 
-    /// Time of the present step, µs.
+    /// Returns the time of the present step, µs.
     pub fn time_us(&self) -> u64 {
         self.time_us
     }
 
-    /// The vehicle's true state.
+    /// Returns the vehicle's true state.
     pub fn truth(&self) -> &State {
         self.vehicle.state()
     }
 
-    /// What the flight controller made of `input`: the vehicle moves on by a step. Returns why and when the flight
-    /// counts as crashed (s), if it does.
+    /// Applies the flight controller's `output` for `input`, and advances the vehicle by a step. Returns cause and time
+    /// (s) of a crash.
     #[inline(always)]
     pub fn act(
         &mut self,
         input: &Input,
-        output: &Answer,
+        output: &AutopilotOutput,
         observer: &mut impl Observer,
     ) -> Option<(Crash, f64)> {
         self.state = output.state;
         let estimate = to_f64(output.attitude);
-        self.judge.take(self.vehicle.state(), estimate, output);
+        self.statistics.add(self.vehicle.state(), estimate, output);
         observer.step(&StepView {
             time_us: self.time_us,
             truth: self.vehicle.state(),
-            moment: self.vehicle.moment(),
+            snapshot: self.vehicle.snapshot(),
             target_m: self.pilot.as_ref().map(|pilot| pilot.target_m(self.time_us as f64 * 1e-6)),
             rotors_rad_s: self.vehicle.rotors(),
             input,
             output,
             estimate,
         });
-        let wanted = self.esc(output);
+        let wanted = self.commanded_speeds(output);
         self.vehicle.command(wanted);
         self.vehicle.advance();
         self.time_us += STEP_US;
         self.crash().map(|crash| (crash, self.time_us as f64 * 1e-6))
     }
 
-    /// What arrives at the flight controller at this time.
+    /// Returns the input of the flight controller at this time.
     #[inline(always)]
     pub fn sense(&mut self) -> Input {
-        let imu = if OPTIONAL && !self.sensors.imu_is_perfect() {
-            self.sensors.imu(&self.vehicle.moment())
+        let imu = if OPTIONAL_EFFECTS && !self.sensors.imu_is_perfect() {
+            self.sensors.imu(&self.vehicle.snapshot())
         } else {
             Some(self.sensors.perfect_imu(self.vehicle.state().rates, self.vehicle.specific_force()))
         };
         let mag = if self.time_us >= self.next_mag_us {
             self.next_mag_us += MAG_US;
-            self.sensors.mag(&self.vehicle.moment())
+            self.sensors.mag(&self.vehicle.snapshot())
         } else {
             None
         };
@@ -353,13 +359,13 @@ impl World {
         } else {
             None
         };
-        if OPTIONAL && !self.link.is_empty() {
+        if OPTIONAL_EFFECTS && !self.link.is_empty() {
             deliver(&mut self.link, &mut rc);
         }
         let battery = if self.time_us >= self.next_battery_us {
             self.next_battery_us += BATTERY_US;
             match self.vehicle.battery_v() {
-                Some(voltage_v) if OPTIONAL => Some(Battery { voltage_v: voltage_v as f32 }),
+                Some(voltage_v) if OPTIONAL_EFFECTS => Some(Battery { voltage_v: voltage_v as f32 }),
                 _ => Some(self.supply),
             }
         } else {
@@ -373,10 +379,10 @@ impl World {
         self.pilot.as_mut().map(|pilot| pilot.frame(t_s, self.vehicle.state()))
     }
 
-    /// Rotor speeds that the ESCs ask for: the inverse of flight-core's pulse map, or none at all without a
+    /// Returns the rotor speeds that the ESCs command, rad/s: the inverse of flight-core's pulse map, or zero without a
     /// permit.
     #[inline(always)]
-    fn esc(&self, output: &Answer) -> [f64; 4] {
+    fn commanded_speeds(&self, output: &AutopilotOutput) -> [f64; 4] {
         if !output.driven {
             return [0.0; 4];
         }
@@ -407,35 +413,35 @@ impl World {
         if !self.airborne || self.vehicle.is_held() {
             return None;
         }
-        let astray = (state.position - pilot.target_m(self.time_us as f64 * 1e-6)).norm();
-        self.judge.position_error_max_m = self.judge.position_error_max_m.max(astray);
-        (astray > MAX_ASTRAY_M).then_some(Crash::FlownAway)
+        let distance_m = (state.position - pilot.target_m(self.time_us as f64 * 1e-6)).norm();
+        self.statistics.position_error_max_m = self.statistics.position_error_max_m.max(distance_m);
+        (distance_m > MAX_DISTANCE_M).then_some(Crash::FlownAway)
     }
 
-    /// How the flight went, after so many steps.
+    /// Returns the outcome of the flight after this many steps.
     pub fn outcome(&self, control_steps: u64, crash: Option<(Crash, f64)>) -> Outcome {
-        let judge = &self.judge;
-        // Without a step, which is a flight whose autopilot failed at once, there is no error either.
+        let statistics = &self.statistics;
+        // If the autopilot failed in its first step, there is no error yet.
         let none = AttitudeError { total_rad: 0.0, heading_rad: 0.0, inclination_rad: 0.0 };
-        let rmse = judge.rmse.root().unwrap_or(none);
+        let rmse = statistics.rmse.root().unwrap_or(none);
         Outcome {
             control_steps,
             attitude_rmse_deg: rmse.total_rad.to_degrees(),
             heading_rmse_deg: rmse.heading_rad.to_degrees(),
             inclination_rmse_deg: rmse.inclination_rad.to_degrees(),
-            tilt_error_max_deg: judge.inclination_max_rad.to_degrees(),
-            tilt_max_deg: libm::acos(judge.min_cos_tilt.clamp(-1.0, 1.0)).to_degrees(),
-            position_error_max_m: judge.position_error_max_m,
+            tilt_error_max_deg: statistics.inclination_max_rad.to_degrees(),
+            tilt_max_deg: libm::acos(statistics.min_cos_tilt.clamp(-1.0, 1.0)).to_degrees(),
+            position_error_max_m: statistics.position_error_max_m,
             crash,
             final_state: self.state,
-            digest: judge.digest.digest(),
+            digest: statistics.digest.digest(),
         }
     }
 }
 
-impl Judge {
+impl Statistics {
     #[inline(always)]
-    fn take(&mut self, truth: &State, estimate: Quaternion<f64>, output: &Answer) {
+    fn add(&mut self, truth: &State, estimate: Quaternion<f64>, output: &AutopilotOutput) {
         let error = AttitudeError::between(estimate, truth.attitude);
         self.rmse.add(error);
         self.inclination_max_rad = self.inclination_max_rad.max(error.inclination_rad);

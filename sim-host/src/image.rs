@@ -1,9 +1,9 @@
-//! What of an ELF image is flashed, and its fingerprint.
+//! The bytes of an ELF image that are flashed, and their SHA-256.
 //!
-//! An ELF image says much that does not get into the chip: symbols, debug information, the text of log messages. What is
-//! flashed is its loadable segments (`PT_LOAD`) that have bytes, each at its physical address. The fingerprint is the
-//! SHA-256 of these bytes from the lowest address to the highest, with zeros in between: of the file that
-//! `objcopy -O binary` writes. `docs/hardware.md` has the commands that check it without this program.
+//! An ELF image also contains data that is not written to the chip: symbols, debug information, the text of log messages.
+//! The flashed bytes are those of the loadable segments (`PT_LOAD`), each at its physical address. The SHA-256 is computed
+//! over these bytes from the lowest address to the highest, with zeros in gaps, so it equals that of the file that
+//! `objcopy -O binary` writes. `docs/hardware.md` has the commands that compute it without this program.
 
 use std::env;
 use std::ffi::OsStr;
@@ -18,14 +18,15 @@ use elf::file::Class;
 
 use input::InputError;
 
-/// From the lowest byte to the highest there can't be more, bytes: no microcontroller has as much flash.
-const LARGEST: u64 = 1 << 24;
+/// Largest distance from the lowest to the highest flashed address, bytes: 16 MiB, more than the flash of any
+/// microcontroller.
+const MAX_SPAN: u64 = 1 << 24;
 
-/// The bytes that are flashed, and the address of the first.
+/// Returns the address of the first flashed byte, and the flashed bytes.
 ///
 /// # Errors
-/// Not a 32-bit ELF image for Arm, one that has nothing to be flashed, or one whose segments overlap, lie beyond the end
-/// of the file or too far apart.
+/// The file is not a 32-bit ELF image for Arm, has no bytes to flash, or has segments that overlap, end beyond the end of
+/// the file or lie too far apart.
 pub fn flashed_bytes(elf: &[u8]) -> Result<(u32, Vec<u8>), InputError> {
     let refused = |what: String| InputError::new(what).field("image");
     let unreadable = |error: elf::ParseError| refused(format!("must be an ELF image for Arm: {error}"));
@@ -41,7 +42,7 @@ pub fn flashed_bytes(elf: &[u8]) -> Result<(u32, Vec<u8>), InputError> {
     segments.sort_unstable_by_key(|&(address, _)| address);
 
     let Some(&(start, _)) = segments.first() else {
-        return Err(refused("has no bytes to be flashed".into()));
+        return Err(refused("has no bytes to flash".into()));
     };
     let mut bytes = Vec::new();
     for (address, data) in segments {
@@ -49,8 +50,10 @@ pub fn flashed_bytes(elf: &[u8]) -> Result<(u32, Vec<u8>), InputError> {
         if at < bytes.len() as u64 {
             return Err(refused(format!("has segments that overlap at {address:#010x}")));
         }
-        if at + data.len() as u64 > LARGEST {
-            return Err(refused(format!("goes from {start:#010x} to {address:#010x}: no flash has as much")));
+        if at + data.len() as u64 > MAX_SPAN {
+            return Err(refused(format!(
+                "extends from {start:#010x} to {address:#010x}: no flash is that large"
+            )));
         }
         bytes.resize(at as usize, 0);
         bytes.extend_from_slice(data);
@@ -59,7 +62,7 @@ pub fn flashed_bytes(elf: &[u8]) -> Result<(u32, Vec<u8>), InputError> {
     Ok((start, bytes))
 }
 
-/// The fingerprint of what is flashed: 64 hexadecimal digits.
+/// Returns the SHA-256 of the flashed bytes, as 64 hexadecimal digits.
 ///
 /// # Errors
 /// As [`flashed_bytes`].
@@ -68,21 +71,22 @@ pub fn image_sha256(elf: &[u8]) -> Result<String, InputError> {
     Ok(hmac_sha256::Hash::hash(&bytes).iter().map(|byte| format!("{byte:02x}")).collect())
 }
 
-/// The firmware's target.
+/// Rust target of the firmware.
 const TARGET: &str = "thumbv7em-none-eabihf";
 
-/// Builds an image of the firmware, from the sources that this program was built from, into a folder of the target directory
-/// of its own: an outer build's is locked. `set_up` gives cargo what this image needs besides; `option` is how an image can
-/// be named instead, for errors.
+/// Builds an image of the firmware from the sources that this program was built from, and returns its path.
+///
+/// The build has its own directory `folder` in the target directory, because cargo locks that of an outer build.
+/// `set_up` adds the arguments that this image needs. `option` is the option that names an image instead, for errors.
 ///
 /// # Errors
-/// No sources, no cargo, or an image that does not build.
+/// The sources or cargo are missing, or the build fails.
 pub fn build(folder: &str, option: &str, set_up: impl FnOnce(&mut Command)) -> Result<PathBuf, InputError> {
     let refused =
-        |what: String| InputError::new(format!("{what}: name an image by {option}")).file("firmware");
+        |what: String| InputError::new(format!("{what}: give an image by {option}")).file("firmware");
     let workspace = Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap_or(Path::new("/"));
     if !workspace.join("firmware/Cargo.toml").exists() {
-        return Err(refused(format!("the sources are not in {}", workspace.display())));
+        return Err(refused(format!("the sources are missing in {}", workspace.display())));
     }
     let targets = env::var_os("CARGO_TARGET_DIR").map_or_else(|| workspace.join("target"), PathBuf::from);
     let target = std::path::absolute(targets.join(folder))
@@ -90,7 +94,7 @@ pub fn build(folder: &str, option: &str, set_up: impl FnOnce(&mut Command)) -> R
     let mut cargo = Command::new(env::var_os("CARGO").as_deref().unwrap_or(OsStr::new("cargo")));
     cargo
         .current_dir(workspace)
-        // As the alias flash-fw of .cargo/config.toml, but for `run`.
+        // As the alias flash-fw of .cargo/config.toml, with `build` instead of `run`.
         .args(["build", "--profile", "flash", "--package", "firmware", "--target", TARGET, "--target-dir"])
         .arg(&target)
         // These would replace the link arguments of .cargo/config.toml.
@@ -100,9 +104,9 @@ pub fn build(folder: &str, option: &str, set_up: impl FnOnce(&mut Command)) -> R
     if !stderr().is_terminal() {
         cargo.arg("--quiet");
     }
-    let status = cargo.status().map_err(|error| refused(format!("cargo does not run ({error})")))?;
+    let status = cargo.status().map_err(|error| refused(format!("cargo does not start ({error})")))?;
     if !status.success() {
-        return Err(refused("the image does not build".into()));
+        return Err(refused("the build failed".into()));
     }
     Ok(target.join(TARGET).join("flash/firmware"))
 }
@@ -112,7 +116,7 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    /// A 32-bit ELF image with these segments: type, physical address and bytes. It has no sections.
+    /// Returns a 32-bit ELF image without sections, with these segments: type, physical address and bytes.
     fn image(segments: &[(u32, u32, &[u8])]) -> Vec<u8> {
         const HEADER: u32 = 52;
         const SEGMENT: u32 = 32;
@@ -137,8 +141,8 @@ mod tests {
     }
 
     #[test]
-    fn segments_lie_at_their_physical_addresses() {
-        // The second comes first in flash; one has no bytes, one is not loaded.
+    fn segments_are_placed_at_their_physical_addresses() {
+        // The second has the lowest address; the third has no bytes; the fourth is not loaded.
         let elf = image(&[
             (PT_LOAD, 0x0800_0006, b"code"),
             (PT_LOAD, 0x0800_0000, b"vec"),
@@ -149,7 +153,7 @@ mod tests {
     }
 
     #[test]
-    fn the_fingerprint_is_the_sha256_of_the_bytes() {
+    fn sha256_is_that_of_the_flashed_bytes() {
         // FIPS 180-2, appendix B.1.
         let elf = image(&[(PT_LOAD, 0x0800_0000, b"ab"), (PT_LOAD, 0x0800_0002, b"c")]);
         assert_eq!(
@@ -159,16 +163,16 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_flashed_is_refused() {
+    fn unusable_images_are_refused() {
         assert!(refused(b"no image").contains("must be an ELF image for Arm"));
         let mut other_machine = image(&[(PT_LOAD, 0, b"x")]);
         other_machine[18] = 62;
         assert!(refused(&other_machine).contains("32-bit ELF image for Arm"));
-        assert!(refused(&image(&[])).contains("no bytes to be flashed"));
+        assert!(refused(&image(&[])).contains("no bytes to flash"));
         let overlap = image(&[(PT_LOAD, 0x0800_0000, b"abc"), (PT_LOAD, 0x0800_0002, b"d")]);
         assert!(refused(&overlap).contains("overlap at 0x08000002"));
         let far = image(&[(PT_LOAD, 0x0800_0000, b"abc"), (PT_LOAD, 0xffff_0000, b"d")]);
-        assert!(refused(&far).contains("no flash has as much"));
+        assert!(refused(&far).contains("no flash is that large"));
         let cut = image(&[(PT_LOAD, 0x0800_0000, b"abc")]);
         assert!(refused(&cut[..cut.len() - 1]).contains("must be an ELF image for Arm"));
     }
@@ -180,7 +184,7 @@ mod tests {
             elf[at.min(121)] = byte;
             elf.truncate(length);
             if let Ok((_, bytes)) = flashed_bytes(&elf) {
-                prop_assert!(bytes.len() as u64 <= LARGEST);
+                prop_assert!(bytes.len() as u64 <= MAX_SPAN);
             }
         }
     }

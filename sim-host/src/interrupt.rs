@@ -1,21 +1,23 @@
-//! Ctrl-C, and a request to terminate: the program ends without a temporary file left behind.
+//! Ctrl-C and a request to terminate (SIGTERM): the program ends and leaves no temporary file.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, OnceLock};
 
 use crate::output_file;
 
-/// Exit code after Ctrl-C, as shells have it: 128 + SIGINT.
+/// Exit code after Ctrl-C, as in shells: 128 + 2 (SIGINT).
 const INTERRUPTED: i32 = 130;
 
-/// Set by Ctrl-C, if somebody has asked for it.
+/// The flag that Ctrl-C sets, once [`stop_flag`] has been called.
 static STOP: OnceLock<Arc<AtomicBool>> = OnceLock::new();
 
-/// Ends the program at Ctrl-C, without a temporary file left behind.
-pub fn listen() {
-    // Without a handler Ctrl-C still ends the program.
+/// Installs the handler: Ctrl-C ends the program and removes its temporary files.
+///
+/// After [`stop_flag`] the first Ctrl-C only sets the flag.
+pub fn install_handler() {
+    // An error is ignored: without a handler Ctrl-C still ends the program.
     let _ = ctrlc::set_handler(|| {
-        // Who has asked for the flag ends by it; a second Ctrl-C says that it takes too long.
+        // The holder of the flag ends the program. A second Ctrl-C ends it at once.
         if STOP.get().is_some_and(|stop| !stop.swap(true, Ordering::Relaxed)) {
             return;
         }
@@ -24,14 +26,14 @@ pub fn listen() {
     });
 }
 
-/// Ends the program after Ctrl-C, having said what has become of its work.
-pub fn end(said: &str) -> ! {
-    eprintln!("{said}");
+/// Prints a message on standard error, removes temporary files and ends the program with the exit code of Ctrl-C.
+pub fn exit(message: &str) -> ! {
+    eprintln!("{message}");
     output_file::remove_unfinished();
     std::process::exit(INTERRUPTED);
 }
 
-/// From now on Ctrl-C sets this flag.
-pub fn flag() -> Arc<AtomicBool> {
+/// Returns the flag that the first Ctrl-C sets from now on, instead of ending the program.
+pub fn stop_flag() -> Arc<AtomicBool> {
     STOP.get_or_init(Arc::default).clone()
 }

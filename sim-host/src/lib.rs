@@ -1,7 +1,22 @@
-//! The world that Kestrel's flight code flies in: vehicle, sensors with their errors, pilot; and the
-//! recorded world: logs, and the estimators run over them.
+//! The simulator that Kestrel's flight code flies in: vehicle, sensors with their errors, and pilot. It also reads logs
+//! and recordings: it runs the estimators over them and identifies sensor errors from them.
+//!
+//! # Example
+//! One flight of a built-in scene:
+//!
+//! ```
+//! use sim_host::flight::Flight;
+//! use sim_host::scene::Scene;
+//!
+//! let scene = Scene::load("hover")?;
+//! let outcome = Flight::new(&scene, 7).run(&mut ());
+//! assert!(outcome.crash.is_none() && outcome.attitude_rmse_deg < 0.4);
+//! # Ok::<(), input::InputError>(())
+//! ```
+//!
+//! The examples `one_flight` and `own_effect` of this package show an observer and an effect of one's own.
 #![deny(unsafe_code)]
-// Tests may take the C library's functions as a second opinion: see clippy.toml.
+// Tests may compare with the C library's functions: see clippy.toml.
 #![cfg_attr(test, allow(clippy::disallowed_methods))]
 #![warn(missing_docs)]
 

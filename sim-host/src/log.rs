@@ -1,21 +1,20 @@
-//! Sensor logs: CSV files with one row a sample.
+//! Sensor logs: CSV files with one row per sample.
 //!
 //! | columns | unit | |
 //! |---|---|---|
-//! | `time_s` | s | required, rising; read to the microsecond |
+//! | `time_s` | s | required, increasing; resolution 1 µs |
 //! | `gyro_{x,y,z}_rad_s` | rad/s | required; angular rate of the body |
 //! | `accel_{x,y,z}_m_s2` | m/s² | required; specific force a − g |
-//! | `mag_{x,y,z}_ut` | µT | optional; empty cells where there was no new sample |
-//! | `ref_q{w,x,y,z}` | – | optional; true attitude, body to world; empty cells where it is unknown |
-//! | `moving` | – | optional; 1 where the row counts in an error, 0 where not; all rows count without it |
+//! | `mag_{x,y,z}_ut` | µT | optional; empty cells if there is no new sample |
+//! | `ref_q{w,x,y,z}` | – | optional; true attitude, body to world; empty cells if unknown |
+//! | `moving` | – | optional; 1 if the row counts in an error, 0 if not; without the column all rows count |
 //!
-//! Other columns are ignored, and the order is free. [`LogReader`] turns whatever axes the file has
-//! ([`Axes`]) into the project's own: world north-east-down, body forward-right-down, and an
-//! accelerometer that reads (0, 0, −9.81) m/s² level and at rest. [`LogWriter`] writes these.
+//! Other columns are ignored, and the columns may be in any order. [`LogReader`] converts the axes of the file
+//! ([`Axes`]) to the project's axes: world north-east-down, body forward-right-down, and an accelerometer that reads
+//! (0, 0, −9.81) m/s² level and at rest. [`LogWriter`] writes these axes.
 //!
-//! Nothing doubtful gets through: a cell that isn't a finite number, time that doesn't rise, a reference
-//! that is no rotation, each ends the reading with an [`InputError`](input::InputError) that
-//! names file, line and column.
+//! Invalid data stop the reader: a cell that is not a finite number, a time that does not increase, or a reference that
+//! is not a rotation gives an [`InputError`](input::InputError) with file, line and column.
 
 mod read;
 mod write;
@@ -52,22 +51,22 @@ pub struct LogRow {
     pub gyro_rad_s: [f64; 3],
     /// Specific force along forward, right, down, m/s².
     pub accel_m_s2: [f64; 3],
-    /// Magnetic field along forward, right, down, µT; `None` where there was no new sample.
+    /// Magnetic field along forward, right, down, µT; `None` if there is no new sample.
     pub mag_ut: Option<[f64; 3]>,
-    /// True attitude as a unit quaternion (w, x, y, z), body to world; `None` where it is unknown.
+    /// True attitude as a unit quaternion (w, x, y, z), body to world; `None` if it is unknown.
     pub reference: Option<[f64; 4]>,
-    /// Whether the row counts in an error.
+    /// True if the row counts in an error.
     pub moving: bool,
 }
 
 impl LogRow {
-    /// Time rounded to the microsecond: the only form of time that the flight code knows.
+    /// Returns the time rounded to microseconds, as the flight code needs it.
     pub fn time_us(&self) -> i64 {
         libm::round(self.time_s * 1e6) as i64
     }
 }
 
-/// Which way the axes of a log point.
+/// Directions of the axes of a log.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Frame {
     /// World north-east-down, body forward-right-down.
@@ -77,13 +76,13 @@ pub enum Frame {
     Enu,
 }
 
-/// Which of its two signs an accelerometer's reading has.
+/// Sign convention of an accelerometer.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum AccelSign {
     /// Specific force a − g: an upward axis reads +9.81 m/s² at rest.
     #[default]
     Reaction,
-    /// Its negative: an upward axis reads −9.81 m/s² at rest.
+    /// Negative specific force: an upward axis reads −9.81 m/s² at rest.
     Inverted,
 }
 
@@ -97,7 +96,7 @@ pub struct Axes {
 }
 
 impl Axes {
-    /// A row in the file's axes, in the project's.
+    /// Converts a row from the file's axes to the project's.
     fn convert(self, row: LogRow) -> LogRow {
         let accel_m_s2 = match self.accel_sign {
             AccelSign::Reaction => row.accel_m_s2,
@@ -117,16 +116,17 @@ impl Axes {
     }
 }
 
-/// A vector in forward-left-up axes, in forward-right-down axes.
+/// Converts a vector from forward-left-up to forward-right-down axes.
 fn half_turn_about_x([x, y, z]: [f64; 3]) -> [f64; 3] {
     [x, -y, -z]
 }
 
-/// An attitude from forward-left-up to east-north-up, as one from forward-right-down to north-east-down.
+/// Converts an attitude (body to world) from forward-left-up and east-north-up axes to forward-right-down and
+/// north-east-down axes.
 ///
-/// Both changes of axes are half turns: of the world about (1, 1, 0)/√2, which swaps east and north and
-/// turns up into down, and of the body about x. With p = (0, 1, 1, 0)/√2 and i = (0, 1, 0, 0) the attitude
-/// becomes p q i, and the product, times −1 (the same rotation), is what stands here.
+/// Both changes of axes are half turns: of the world about (1, 1, 0)/√2, which swaps east and north and reverses the
+/// vertical, and of the body about x. With p = (0, 1, 1, 0)/√2 and i = (0, 1, 0, 0) the attitude becomes p q i. The
+/// expression below is this product times −1, which is the same rotation.
 fn enu_to_ned([w, x, y, z]: [f64; 4]) -> [f64; 4] {
     [w + z, x + y, x - y, w - z].map(|c| c * core::f64::consts::FRAC_1_SQRT_2)
 }
@@ -135,7 +135,7 @@ fn enu_to_ned([w, x, y, z]: [f64; 4]) -> [f64; 4] {
 mod tests {
     use super::*;
 
-    /// A body vector in the world's axes: the textbook's rotation matrix, independent of the product form.
+    /// Rotates a body vector to world axes by the textbook rotation matrix, independently of the product form.
     fn rotate([w, x, y, z]: [f64; 4], [a, b, c]: [f64; 3]) -> [f64; 3] {
         [
             (w * w + x * x - y * y - z * z) * a + 2.0 * (x * y - w * z) * b + 2.0 * (x * z + w * y) * c,
@@ -145,7 +145,7 @@ mod tests {
     }
 
     #[test]
-    fn a_reference_turns_the_same_vector_in_either_frame() {
+    fn reference_rotates_the_same_vector_in_both_frames() {
         let r = core::f64::consts::FRAC_1_SQRT_2;
         for q in [
             [1.0, 0.0, 0.0, 0.0],
@@ -171,17 +171,17 @@ mod tests {
     }
 
     #[test]
-    fn level_and_facing_east_is_a_yaw_of_90_degrees() {
+    fn level_and_facing_east_is_90_degrees_of_yaw() {
         let r = core::f64::consts::FRAC_1_SQRT_2;
         assert_eq!(enu_to_ned([1.0, 0.0, 0.0, 0.0]), [r, 0.0, 0.0, r]);
-        // Turned left by 90° it faces north.
+        // After a left turn of 90° the body faces north.
         for (a, b) in enu_to_ned([r, 0.0, 0.0, r]).into_iter().zip([1.0, 0.0, 0.0, 0.0]) {
             assert!((a - b).abs() < 1e-15);
         }
     }
 
     #[test]
-    fn at_rest_every_convention_reads_minus_g_downwards() {
+    fn every_convention_reads_minus_g_down_at_rest() {
         for (frame, accel_sign, z) in [
             (Frame::Ned, AccelSign::Reaction, -9.81),
             (Frame::Ned, AccelSign::Inverted, 9.81),

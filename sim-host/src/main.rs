@@ -1,7 +1,7 @@
-//! `sim-host`: the world that Kestrel's flight code flies in.
+//! `sim-host`: simulates the vehicle, sensors and pilot that Kestrel's flight code flies with.
 //!
-//! Results go to standard output (with `--json` as one object, and nothing else), progress and notes to
-//! standard error. Exit codes: 0 done, 1 the flight or check failed, 2 bad input or usage.
+//! Results go to standard output (with `--json` as one JSON object and nothing else), progress bars and notes to
+//! standard error. Exit codes: 0 done, 1 the flight or check failed, 2 bad input or usage, 130 interrupted.
 
 mod cli;
 

@@ -1,8 +1,8 @@
-//! A file that appears complete or not at all.
+//! Output files that appear complete or not at all.
 //!
-//! Everything goes to a temporary file in the same directory, and [`OutputFile::finish`] gives it the name
-//! in one step of the file system. A run that stops half-way leaves the old file, or none: never half a
-//! log that reads like a short flight.
+//! The content goes to a temporary file in the same directory, and [`OutputFile::finish`] renames it in one step of
+//! the file system. A run that stops early leaves the old file, or none. It never leaves half a log, which would look
+//! like the log of a short flight.
 
 use std::fs::{self, File};
 use std::io::{self, BufWriter, Write};
@@ -14,7 +14,7 @@ use tempfile::NamedTempFile;
 
 use input::InputError;
 
-/// A file being written. Dropping it without [`finish`](Self::finish) leaves nothing behind.
+/// A file that is being written. Dropped without [`finish`](Self::finish), it removes its temporary file.
 #[derive(Debug)]
 pub struct OutputFile {
     sink: BufWriter<Sink>,
@@ -24,7 +24,7 @@ pub struct OutputFile {
 #[derive(Debug)]
 enum Sink {
     Temporary(NamedTempFile),
-    /// A pipe or a device. Putting a file in its place would replace `/dev/null`.
+    /// A pipe or a device, which is written directly: a rename would replace `/dev/null` by a file.
     Direct(File),
 }
 
@@ -45,7 +45,10 @@ impl Write for Sink {
 }
 
 impl OutputFile {
-    /// Begins to write what will be `path`. What is there now stays until [`finish`](Self::finish).
+    /// Starts a file that will be `path`. An old file stays until [`finish`](Self::finish).
+    ///
+    /// # Errors
+    /// The directory does not exist or cannot be written.
     pub fn create(path: impl AsRef<Path>) -> Result<Self, InputError> {
         let path = path.as_ref().to_path_buf();
         let sink = open(&path).map_err(|error| cannot_write(&path, &error))?;
@@ -55,16 +58,18 @@ impl OutputFile {
         Ok(Self { sink: BufWriter::with_capacity(1 << 16, sink), path })
     }
 
-    /// Puts everything on the disk and gives the file its name.
+    /// Writes everything to the disk and renames the file to its path.
+    ///
+    /// # Errors
+    /// The disk is full, or the file cannot be renamed.
     pub fn finish(self) -> Result<(), InputError> {
         let Self { sink, path } = self;
         let finished = || {
             match sink.into_inner().map_err(io::IntoInnerError::into_error)? {
                 Sink::Temporary(file) => {
-                    // First the content, then the name: after a power cut the name must not stand on an
-                    // empty file.
+                    // The content before the name: after a power cut the path must not name an empty file.
                     file.as_file().sync_all()?;
-                    file.persist(end_of_links(&path)?).map_err(|error| error.error)?;
+                    file.persist(resolve_links(&path)?).map_err(|error| error.error)?;
                     Ok(())
                 }
                 Sink::Direct(mut file) => file.flush(),
@@ -73,16 +78,16 @@ impl OutputFile {
         finished().map_err(|error| cannot_write(&path, &error))
     }
 
-    /// The error for a failed write to this file.
+    /// Returns the error for a failed write to this file.
     pub fn error(&self, error: &io::Error) -> InputError {
         cannot_write(&self.path, error)
     }
 }
 
-/// Writes a file of text: complete, or not at all.
+/// Writes a text file: complete, or not at all.
 ///
 /// # Errors
-/// A place that cannot be written.
+/// As [`OutputFile::create`] and [`OutputFile::finish`].
 pub fn write(path: impl AsRef<Path>, text: &str) -> Result<(), InputError> {
     let mut file = OutputFile::create(path)?;
     file.write_text(text)?;
@@ -90,10 +95,10 @@ pub fn write(path: impl AsRef<Path>, text: &str) -> Result<(), InputError> {
 }
 
 impl OutputFile {
-    /// Writes text into a file that has been begun.
+    /// Appends text to the file.
     ///
     /// # Errors
-    /// A disk that is full, and the like.
+    /// The write fails, for example because the disk is full.
     pub fn write_text(&mut self, text: &str) -> Result<(), InputError> {
         self.write_all(text.as_bytes()).map_err(|error| self.error(&error))
     }
@@ -109,31 +114,30 @@ impl Write for OutputFile {
     }
 }
 
-/// Temporary files that are being written, for an interrupt to remove: it ends the program without dropping
-/// anything.
+/// Paths of the temporary files. After Ctrl-C the program ends without dropping values, so the handler removes these.
 static UNFINISHED: Mutex<Vec<PathBuf>> = Mutex::new(Vec::new());
 
 fn unfinished<T>(change: impl FnOnce(&mut Vec<PathBuf>) -> T) -> T {
     change(&mut UNFINISHED.lock().unwrap_or_else(PoisonError::into_inner))
 }
 
-/// Removes every file that has not been finished. Only for a program that is about to end.
+/// Removes all temporary files. Only for a program that is about to end.
 pub fn remove_unfinished() {
-    // What was finished has another name by now, and what was dropped is gone: neither is an error.
+    // Finished files have been renamed and dropped ones removed, so a failure to remove is no error.
     unfinished(|files| files.drain(..).for_each(|path| drop(fs::remove_file(path))));
 }
 
-/// Refuses to put an output in the place of an input: a recording or a scene can't be made again. Each output is named
-/// by its option.
+/// Checks that no output would overwrite an input or another output. A recording or a scene cannot be restored.
+/// Each output comes with the name of its option, for the error.
 ///
 /// # Errors
-/// An output is one of `inputs`, or two of them are one file.
-pub fn spare(inputs: &[&Path], outputs: &[(&str, Option<&Path>)]) -> Result<(), InputError> {
+/// An output is one of `inputs`, or two outputs are the same file.
+pub fn check_outputs(inputs: &[&Path], outputs: &[(&str, Option<&Path>)]) -> Result<(), InputError> {
     for (n, (option, out)) in outputs.iter().enumerate() {
         let Some(out) = out else { continue };
         for (other, same) in &outputs[..n] {
             if same.is_some_and(|same| is_same(same, out)) {
-                return Err(InputError::new(format!("is {other}'s file already"))
+                return Err(InputError::new(format!("is already the file of {other}"))
                     .field(*option)
                     .value(out.display()));
             }
@@ -148,21 +152,21 @@ pub fn spare(inputs: &[&Path], outputs: &[(&str, Option<&Path>)]) -> Result<(), 
     Ok(())
 }
 
-/// Whether two paths are one file, which may not be there yet. A device or a pipe takes more than one output.
+/// Whether two paths name the same regular file, which need not exist yet. A device or a pipe may take several outputs.
 fn is_same(one: &Path, other: &Path) -> bool {
-    let place = |path: &Path| {
+    let full_path = |path: &Path| {
         let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-        let made = || Some(fs::canonicalize(folder).ok()?.join(path.file_name()?));
-        fs::canonicalize(path).ok().or_else(made)
+        let new_file = || Some(fs::canonicalize(folder).ok()?.join(path.file_name()?));
+        fs::canonicalize(path).ok().or_else(new_file)
     };
     let is_file = |path: &Path| fs::metadata(path).map_or(true, |found| found.is_file());
-    place(one).is_some_and(|one| place(other) == Some(one)) && is_file(one)
+    full_path(one).is_some_and(|one| full_path(other) == Some(one)) && is_file(one)
 }
 
-/// Prints a line to standard output. A reader that has gone away (`| head`) is no error.
+/// Prints a line on standard output. A pipe whose reader has ended (`| head`) is no error.
 ///
 /// # Errors
-/// It can't be written, to a full disk for instance.
+/// The line cannot be written, for example to a full disk.
 pub fn print(line: &str) -> Result<(), InputError> {
     let mut stdout = io::stdout();
     match writeln!(stdout, "{line}").and_then(|()| stdout.flush()) {
@@ -174,9 +178,9 @@ pub fn print(line: &str) -> Result<(), InputError> {
 }
 
 fn cannot_write(path: &Path, error: &io::Error) -> InputError {
-    // The error ends with the name of the temporary file, which the user does not know.
-    let why = error.to_string();
-    InputError::new(format!("cannot be written: {}", why.split(" at path ").next().unwrap_or(&why)))
+    // Cuts the end of the message, which names the temporary file: the user does not know it.
+    let message = error.to_string();
+    InputError::new(format!("cannot be written: {}", message.split(" at path ").next().unwrap_or(&message)))
         .file(path)
 }
 
@@ -184,10 +188,10 @@ fn open(path: &Path) -> io::Result<Sink> {
     if let Ok(found) = fs::metadata(path)
         && !found.is_file()
     {
-        // A directory fails here, with the system's own words.
+        // Opening a directory fails here, with the error of the system.
         return File::options().write(true).open(path).map(Sink::Direct);
     }
-    let target = end_of_links(path)?;
+    let target = resolve_links(path)?;
     let directory = match target.parent() {
         Some(parent) if !parent.as_os_str().is_empty() => parent,
         _ => Path::new("."),
@@ -197,14 +201,14 @@ fn open(path: &Path) -> io::Result<Sink> {
     #[cfg(unix)]
     {
         use std::os::unix::fs::PermissionsExt as _;
-        // Temporary files are private by default; this one becomes an ordinary file, so the umask decides.
+        // Temporary files are private by default. This one becomes an ordinary file, with the permissions of the umask.
         builder.permissions(fs::Permissions::from_mode(0o666));
     }
     builder.tempfile_in(directory).map(Sink::Temporary)
 }
 
-/// Where a symbolic link leads, so that the link stays and its target is replaced.
-fn end_of_links(path: &Path) -> io::Result<PathBuf> {
+/// Returns the target of a symbolic link, so that the link stays and its target is replaced.
+fn resolve_links(path: &Path) -> io::Result<PathBuf> {
     if path.exists() { fs::canonicalize(path) } else { Ok(path.to_path_buf()) }
 }
 
@@ -213,7 +217,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn appears_only_when_finished() {
+    fn file_appears_only_when_finished() {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("log.csv");
         fs::write(&path, "old").unwrap();
@@ -223,16 +227,16 @@ mod tests {
         abandoned.flush().unwrap();
         assert_eq!(fs::read_to_string(&path).unwrap(), "old");
         drop(abandoned);
-        assert_eq!(fs::read_dir(directory.path()).unwrap().count(), 1, "the temporary file is gone");
+        assert_eq!(fs::read_dir(directory.path()).unwrap().count(), 1, "the temporary file is removed");
 
-        let mut whole = OutputFile::create(&path).unwrap();
-        whole.write_all(b"new").unwrap();
-        whole.finish().unwrap();
+        let mut finished = OutputFile::create(&path).unwrap();
+        finished.write_all(b"new").unwrap();
+        finished.finish().unwrap();
         assert_eq!(fs::read_to_string(&path).unwrap(), "new");
     }
 
     #[test]
-    fn a_place_that_cannot_be_written_is_named_in_one_line() {
+    fn unwritable_path_gives_a_one_line_error() {
         let directory = tempfile::tempdir().unwrap();
         for path in [directory.path().to_path_buf(), directory.path().join("missing/log.csv")] {
             let error = OutputFile::create(&path).unwrap_err().to_string();
@@ -243,7 +247,7 @@ mod tests {
 
     #[cfg(unix)]
     #[test]
-    fn a_symbolic_link_stays_and_its_target_is_replaced() {
+    fn symbolic_link_stays_and_its_target_is_replaced() {
         let directory = tempfile::tempdir().unwrap();
         let (target, link) = (directory.path().join("target"), directory.path().join("link"));
         fs::write(&target, "old").unwrap();
@@ -257,7 +261,7 @@ mod tests {
 
     #[cfg(unix)]
     #[test]
-    fn a_pipe_is_written_to_and_not_replaced() {
+    fn pipe_is_written_and_not_replaced() {
         use std::os::unix::fs::FileTypeExt as _;
         let directory = tempfile::tempdir().unwrap();
         let pipe = directory.path().join("pipe");

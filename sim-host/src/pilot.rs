@@ -1,8 +1,7 @@
-//! The pilot: sees the truth a fifth of a second late, and moves four sticks fifty times a second.
+//! The simulated pilot, who sees the truth 0.2 s late and moves four sticks 50 times per second.
 //!
-//! A pilot lies back, arms with the sticks, takes off, holds a place, lands, disarms. A *script* moves
-//! named sticks at named times; what it does not name stays with the base: the holding pilot, or centred
-//! sticks for a stand.
+//! The pilot arms with the sticks, takes off, holds a position, lands and disarms. A *script* moves named sticks at
+//! given times. The other sticks follow the base: the pilot who holds the position, or centred sticks for a stand.
 
 use std::collections::VecDeque;
 
@@ -15,7 +14,7 @@ use crate::dynamics::{GRAVITY, State};
 /// Frames from the transmitter per second.
 pub const FRAME_RATE_HZ: f64 = 50.0;
 
-/// Age of what the pilot sees, in frames: 0.2 s.
+/// Reaction time of the pilot, in frames: 0.2 s.
 const REACTION_FRAMES: usize = 10;
 
 /// Stick positions before they become ticks: throttle 0 to 1, the others −1 to 1.
@@ -33,7 +32,7 @@ impl Sticks {
     const ARM: Self = Self { yaw: 1.0, ..Self::LOW };
     const DISARM: Self = Self { yaw: -1.0, ..Self::LOW };
 
-    /// The 11-bit ticks of the receiver.
+    /// Converts the positions to the 11-bit ticks of the receiver.
     fn to_frame(self) -> RcFrame {
         let ticks = |position: f64, zero: u16, span: u16| {
             let limited = f64::from(zero) + libm::rint(position * f64::from(span));
@@ -47,7 +46,7 @@ impl Sticks {
                 centred(self.pitch),
                 centred(self.yaw),
             ],
-            // Arms by the sticks.
+            // The pilot arms with the sticks.
             arm_switch: LOW_TICKS,
             mode_switch: match self.mode {
                 FlightMode::Angle => LOW_TICKS,
@@ -58,63 +57,63 @@ impl Sticks {
     }
 }
 
-/// What the sticks do that a script does not name.
+/// The source of the sticks that a script does not name.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Base {
-    /// Hold the place above the start.
+    /// The pilot holds the position above the start.
     Hold,
-    /// Roll, pitch and yaw centred, throttle as given (0 to 1) once armed.
+    /// Roll, pitch and yaw are centred; the throttle has this value from take-off time on.
     Centred {
         /// Throttle, 0 to 1.
         throttle: f64,
     },
 }
 
-/// The times and places of a flight.
+/// Times and height of a flight.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Plan {
     /// Start of the arm gesture, s.
     pub arm_at_s: f64,
-    /// Start of the climb, s; on a stand, of the throttle.
+    /// Start of the climb, s; on a stand, time at which the throttle opens.
     pub take_off_at_s: f64,
     /// Height to hold, m.
     pub height_m: f64,
-    /// Start of the descent, s before the end of the scene; `None` stays up.
+    /// Start of the descent, s before the end of the scene; `None` for no landing.
     pub land_before_end_s: Option<f64>,
 }
 
-/// One move of a script: these sticks, from this time, for this long.
+/// One move of a script: stick positions from a time on, for a duration.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Move {
-    /// s.
+    /// Start, s.
     pub at_s: f64,
-    /// s.
+    /// Duration, s.
     pub for_s: f64,
-    /// 0 to 1; `None` leaves it to the base.
+    /// Throttle, 0 to 1; `None`: by the base.
     pub throttle: Option<f64>,
-    /// −1 (left) to 1 (right).
+    /// Roll, −1 (left) to 1 (right); `None`: by the base.
     pub roll: Option<f64>,
-    /// −1 (back, nose up) to 1 (forward, nose down).
+    /// Pitch, −1 (back, nose up) to 1 (forward, nose down); `None`: by the base.
     pub pitch: Option<f64>,
-    /// −1 (anticlockwise from above) to 1.
+    /// Yaw, −1 (anticlockwise from above) to 1; `None`: by the base.
     pub yaw: Option<f64>,
-    /// Position of the mode switch. In rate mode the sticks that are not named are centred: what would hold a place
-    /// by angles means something else there.
+    /// Position of the mode switch. In rate mode, roll, pitch and yaw that are not named are centred, because the base
+    /// gives angles, not rates.
     pub mode: FlightMode,
 }
 
-/// What a pilot is to do.
+/// The task of a pilot.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PilotScript {
     /// Times and height.
     pub plan: Plan,
-    /// What is not in the script.
+    /// Source of the sticks that the script does not name.
     pub base: Base,
-    /// The moves.
+    /// Moves.
     pub script: Vec<Move>,
 }
 
-/// What the pilot knows of the vehicle.
+/// The pilot's knowledge of the vehicle.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Knowledge {
     /// Throttle at which the vehicle hovers, 0 to 1.
@@ -125,55 +124,61 @@ pub struct Knowledge {
     pub max_yaw_rate_rad_s: f64,
 }
 
-/// Climb and descent, m/s.
+/// Speed of the climb, m/s.
 const CLIMB_M_S: f64 = 1.0;
+/// Speed of the descent, m/s.
 const DESCENT_M_S: f64 = 0.5;
-/// The descent goes on below the ground, so that the vehicle settles on it. Down to 2 m, which is 2.8 m/s² of
-/// height error: the rotors' cushion over the ground holds up to a third more.
-const DEEPEST_M: f64 = 2.0;
+/// Depth below the ground at which the target's descent ends, m. The target is below the ground so that the vehicle
+/// settles on it. A height error of 2 m commands 2.8 m/s², because the ground effect adds up to a third of the thrust.
+const MAX_DEPTH_M: f64 = 2.0;
 
-/// The gesture is held this long: the flight code asks for 1 s to arm.
+/// Duration of the arming gesture, s: the flight code needs 1 s.
 const ARM_GESTURE_S: f64 = 1.2;
 
-/// Height error to acceleration, 1/s², and climb rate to acceleration, 1/s. With 0.2 s of reaction and
-/// 0.05 s of motor lag, 2.4 /s of damping leaves a phase margin of 50°.
+/// Gain from height error to acceleration, 1/s².
 const HEIGHT_P: f64 = 1.4;
+/// Gain from climb rate error to acceleration, 1/s. With 0.2 s of reaction time and 0.05 s of motor lag, 2.4/s leaves a
+/// phase margin of 50°.
 const HEIGHT_D: f64 = 2.4;
-/// Height error over time to acceleration, 1/s³: against a battery that goes down, a payload, a downdraught.
+/// Gain from the integral of the height error to acceleration, 1/s³: against a battery that discharges, a payload, a
+/// downdraught.
 const HEIGHT_I: f64 = 0.3;
-/// What is wound up is no more than this, m/s²: a third of the weight.
+/// Limit of the integral part, m/s²: a third of the weight.
 const MAX_INTEGRAL_M_S2: f64 = 3.0;
-/// The same for north and east, where the vehicle has to tilt first (0.25 s more).
-const PLACE_P: f64 = 0.5;
-const PLACE_D: f64 = 1.2;
-/// Place error over time to acceleration, 1/s³: against a steady wind or a level that is off.
-const PLACE_I: f64 = 0.08;
-/// A careful pilot tilts no further to hold a place, rad (20°).
+/// Gain from position error to acceleration north and east, 1/s². It is lower, because the vehicle has to tilt first
+/// (0.25 s more).
+const POSITION_P: f64 = 0.5;
+/// Gain from velocity to acceleration north and east, 1/s.
+const POSITION_D: f64 = 1.2;
+/// Gain from the integral of the position error to acceleration, 1/s³: against a steady wind or an error of the level
+/// attitude.
+const POSITION_I: f64 = 0.08;
+/// Limit of the tilt for holding a position, rad (20°).
 const MAX_HOLD_TILT_RAD: f64 = 0.35;
-/// In flight the throttle is never quite closed: share of hover.
-const LEAST_THROTTLE: f64 = 0.12;
-/// Heading error to yaw rate, 1/s.
+/// Minimum throttle in flight, as a share of hover.
+const MIN_THROTTLE: f64 = 0.12;
+/// Gain from heading error to yaw rate, 1/s.
 const HEADING_P: f64 = 1.0;
 
-/// A pilot in flight.
+/// The pilot of a flight.
 #[derive(Clone, Debug)]
 pub struct Pilot {
     plan: Plan,
     base: Base,
     script: Vec<Move>,
     knowledge: Knowledge,
-    /// The last [`REACTION_FRAMES`] views, the oldest in front.
-    seen: VecDeque<State>,
+    /// The last [`REACTION_FRAMES`] views, the oldest first.
+    views: VecDeque<State>,
     home: Vec3<f64>,
     /// Start of the descent, s.
     land_at_s: Option<f64>,
-    /// Accelerations that the errors so far ask for, north, east, down, m/s².
+    /// Integral part of the commanded acceleration, north, east, down, m/s².
     integral: Vec3<f64>,
     landed_at_s: Option<f64>,
 }
 
 impl Pilot {
-    /// A pilot who stands by the vehicle at `start`, for a flight of this length.
+    /// Creates the pilot of a vehicle at `start`, for a flight of this duration.
     pub fn new(flying: &PilotScript, duration_s: f64, knowledge: Knowledge, start: &State) -> Self {
         let PilotScript { plan, base, script } = flying.clone();
         Self {
@@ -182,32 +187,33 @@ impl Pilot {
             script,
             land_at_s: plan.land_before_end_s.map(|before_end_s| duration_s - before_end_s),
             knowledge,
-            seen: VecDeque::with_capacity(REACTION_FRAMES + 1),
+            views: VecDeque::with_capacity(REACTION_FRAMES + 1),
             home: start.position,
             integral: Vec3::ZERO,
             landed_at_s: None,
         }
     }
 
-    /// Height above the start that the pilot wants at time `t_s`, m; below zero to settle on the ground.
+    /// Returns the target height above the start at time `t_s`, m. It is below zero for a landing, to settle on the
+    /// ground.
     fn wanted_height_m(&self, t_s: f64) -> f64 {
         let Plan { take_off_at_s, height_m, .. } = self.plan;
         let climbed = ((t_s - take_off_at_s) * CLIMB_M_S).clamp(0.0, height_m);
         let descended = self.land_at_s.map_or(0.0, |at| ((t_s - at) * DESCENT_M_S).max(0.0));
-        (climbed - descended).max(-DEEPEST_M)
+        (climbed - descended).max(-MAX_DEPTH_M)
     }
 
-    /// Where the pilot wants the vehicle at time `t_s`, north, east, down, m.
+    /// Returns the pilot's target at time `t_s`, north, east, down, m.
     pub fn target_m(&self, t_s: f64) -> Vec3<f64> {
         Vec3 { z: self.home.z - self.wanted_height_m(t_s), ..self.home }
     }
 
-    /// The frame that the transmitter sends at time `t_s`, when the vehicle is in `state`.
+    /// Returns the frame that the transmitter sends at time `t_s`, when the vehicle is in `state`.
     pub fn frame(&mut self, t_s: f64, state: &State) -> RcFrame {
-        self.seen.push_back(*state);
-        let view = self.seen[0];
-        if self.seen.len() > REACTION_FRAMES {
-            self.seen.pop_front();
+        self.views.push_back(*state);
+        let view = self.views[0];
+        if self.views.len() > REACTION_FRAMES {
+            self.views.pop_front();
         }
         self.sticks(t_s, &view).to_frame()
     }
@@ -221,7 +227,7 @@ impl Pilot {
             return Sticks::LOW;
         }
         if let Some(since) = self.landed_at_s {
-            // Throttle down, a breath, then the gesture.
+            // Throttle down, half a second of pause, then the gesture.
             return if t_s - since > 0.5 { Sticks::DISARM } else { Sticks::LOW };
         }
         if self.land_at_s.is_some_and(|at| t_s > at) && self.is_down(t_s, view) {
@@ -244,14 +250,14 @@ impl Pilot {
         sticks
     }
 
-    /// Whether the vehicle is seen to be down, sliding in the wind or not; on a stand, at once.
+    /// Returns true if the pilot sees the vehicle on the ground, even if it slides in the wind; on a stand, always.
     fn is_down(&self, t_s: f64, view: &State) -> bool {
         match self.base {
             Base::Centred { .. } => true,
             Base::Hold => {
-                // Four seconds after it should have been down it stands on two feet, leaning into the wind, or on
-                // the rotors' cushion: a pilot gives up the throttle, and it drops the rest.
-                let overdue = self.wanted_height_m(t_s) <= -DEEPEST_M;
+                // Four seconds after the planned landing, the vehicle may be on two feet, tilted into the wind, or held
+                // up by the ground effect. The pilot then closes the throttle, and the vehicle drops the rest.
+                let overdue = self.wanted_height_m(t_s) <= -MAX_DEPTH_M;
                 let height_m = if overdue { 0.1 } else { 0.03 };
                 self.target_m(t_s).z > self.home.z
                     && view.position.z > self.home.z - height_m
@@ -262,18 +268,18 @@ impl Pilot {
 
     fn hold(&mut self, t_s: f64, view: &State) -> Sticks {
         let error = self.target_m(t_s) - view.position;
-        // On the ground nothing is learnt: the legs answer, not the air.
+        // No integration on the ground, where the legs hold the vehicle.
         if view.position.z < self.home.z - 0.2 {
             let limit = |a: f64| a.clamp(-MAX_INTEGRAL_M_S2, MAX_INTEGRAL_M_S2);
-            let Vec3 { x, y, z } =
-                self.integral + error.scale_by(vec3(PLACE_I, PLACE_I, HEIGHT_I)) * (1.0 / FRAME_RATE_HZ);
+            let Vec3 { x, y, z } = self.integral
+                + error.scale_by(vec3(POSITION_I, POSITION_I, HEIGHT_I)) * (1.0 / FRAME_RATE_HZ);
             self.integral = vec3(limit(x), limit(y), limit(z));
         }
         let climb = self.target_rate_m_s(t_s) - view.velocity.z;
         let wanted_z = HEIGHT_P * error.z + HEIGHT_D * climb + self.integral.z;
         let level = Vec3 { z: 0.0, ..error };
-        let a = level * PLACE_P - view.velocity * PLACE_D + self.integral;
-        // Forward and right as the pilot sees the vehicle point.
+        let a = level * POSITION_P - view.velocity * POSITION_D + self.integral;
+        // Forward and right of the vehicle, as the pilot sees it.
         let nose = view.attitude.rotate(Vec3::X);
         let length = libm::sqrt(nose.x * nose.x + nose.y * nose.y).max(1e-6);
         let (cos_yaw, sin_yaw) = (nose.x / length, nose.y / length);
@@ -287,17 +293,16 @@ impl Pilot {
         let heading = libm::atan2(sin_yaw, cos_yaw);
         let yaw = -HEADING_P * heading / max_yaw_rate_rad_s;
         Sticks {
-            throttle: (hover_throttle * (1.0 - wanted_z / GRAVITY))
-                .clamp(LEAST_THROTTLE * hover_throttle, 1.0),
+            throttle: (hover_throttle * (1.0 - wanted_z / GRAVITY)).clamp(MIN_THROTTLE * hover_throttle, 1.0),
             roll: tilt(right),
             pitch: tilt(forward),
-            // The flight code holds the heading by itself; a pilot only mends what is seen to be off.
+            // The flight code holds the heading; the pilot only corrects a visible error.
             yaw: if heading.abs() > 0.05 { yaw.clamp(-0.3, 0.3) } else { 0.0 },
             mode: FlightMode::Angle,
         }
     }
 
-    /// Down rate of the target, m/s.
+    /// Returns the vertical speed of the target, m/s, down.
     fn target_rate_m_s(&self, t_s: f64) -> f64 {
         (self.target_m(t_s + 0.5 / FRAME_RATE_HZ) - self.target_m(t_s - 0.5 / FRAME_RATE_HZ)).z
             * FRAME_RATE_HZ
@@ -322,7 +327,7 @@ mod tests {
     }
 
     #[test]
-    fn arms_by_the_sticks_before_taking_off() {
+    fn pilot_arms_with_the_sticks_before_take_off() {
         let ground = at(vec3(0.0, 0.0, -0.05));
         let mut pilot = Pilot::new(&hold(), 60.0, KNOWLEDGE, &ground);
         assert_eq!(pilot.frame(0.0, &ground).channels, [172, 992, 992, 992]);
@@ -332,7 +337,7 @@ mod tests {
     }
 
     #[test]
-    fn steers_back_and_sees_late() {
+    fn pilot_steers_to_the_target_after_reaction_time() {
         let start = at(vec3(0.0, 0.0, -0.05));
         let mut pilot = Pilot::new(&hold(), 60.0, KNOWLEDGE, &start);
         let home = at(vec3(0.0, 0.0, -2.05));
@@ -343,17 +348,17 @@ mod tests {
         for late in 0..REACTION_FRAMES {
             assert_eq!(pilot.frame(10.0, &off).channels[1], 992, "{late} frames late");
         }
-        // Off to the north and east: roll left, stick back.
+        // North and east of the target: roll left, pitch stick back.
         let [_, roll, pitch, _] = pilot.frame(10.0, &off).channels;
         assert!(roll < 992 && pitch < 992);
     }
 
     #[test]
-    fn gives_up_the_throttle_when_the_ground_is_overdue() {
+    fn overdue_landing_closes_the_throttle() {
         let start = at(vec3(0.0, 0.0, -0.05));
         let plan = Plan { land_before_end_s: Some(20.0), ..PLAN };
         let mut pilot = Pilot::new(&PilotScript { plan, ..hold() }, 60.0, KNOWLEDGE, &start);
-        // On two feet, 5 cm up. The descent from 2 m begins at 40 s, and asks for the ground from 44 s on.
+        // On two feet, 5 cm up. The descent from 2 m starts at 40 s, so the target is on the ground from 44 s on.
         let leaning = at(vec3(0.0, 0.0, -0.1));
         for (t_s, holds) in [(43.0, true), (47.9, true), (48.1, false), (50.0, false)] {
             for _ in 0..=REACTION_FRAMES {
@@ -364,7 +369,7 @@ mod tests {
     }
 
     #[test]
-    fn a_script_takes_the_sticks_it_names() {
+    fn script_moves_only_the_sticks_it_names() {
         let start = at(Vec3::ZERO);
         let script = vec![Move {
             at_s: 5.0,

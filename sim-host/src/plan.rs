@@ -1,8 +1,7 @@
-//! The command `plan`: what a scene simulates, in order, what it leaves out, and what each effect costs.
+//! The command `plan`: lists the effects that a scene simulates, in order, and measures the time of each.
 //!
-//! An effect's cost is measured by applying it to a vehicle in flight, by itself, as often as a step of the
-//! flight does: the quickest of several batches, so that what else the machine does counts as little as it
-//! can.
+//! The time of an effect is measured by applying it alone to a vehicle in flight, as often as one step of a flight does. The
+//! shortest of several batches counts, because other work of the machine only makes a batch longer.
 
 use std::hint::black_box;
 use std::time::Instant;
@@ -17,23 +16,24 @@ use crate::effects::vehicle::{BodyEffect as _, Load, Point, Stage, VehicleEffect
 use crate::scene::{DEFAULT_RATE_HZ, MAG_RATE_HZ, Scene};
 use crate::sensors::Sensor;
 
-/// An effect and its cost.
+/// An effect and its computing time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Cost {
-    /// Full name.
+    /// Full name of the effect.
     pub name: &'static str,
-    /// Mean time that it adds to a step of the flight, ns.
+    /// Mean time that the effect adds to a step of the flight, ns.
     pub ns_per_step: f64,
 }
 
-/// Calls in a batch, and batches.
+/// Calls in a batch.
 const CALLS: u32 = 20_000;
+/// Batches, of which the shortest counts.
 const BATCHES: u32 = 7;
 
-/// Stages of a step's integration: three within it, and the slope at its end.
+/// Evaluations of the derivative in a step of the integration: three stages, and one at the end of the step.
 const STAGES: f64 = 4.0;
 
-/// A state with everything in motion, so that no effect has an easy time.
+/// State of the measurement: all parts are in motion, so that no effect takes a shortcut.
 const IN_FLIGHT: State = State {
     position: vec3(1.0, -2.0, -0.4),
     velocity: vec3(3.0, -1.0, 0.5),
@@ -45,7 +45,7 @@ const IN_FLIGHT: State = State {
 const ROTORS: [f64; 4] = [220.0, 231.0, 226.0, 224.0];
 const ROTOR_ACCELERATIONS: [f64; 4] = [100.0, -50.0, 30.0, -80.0];
 
-/// Mean time of a call, ns.
+/// Returns the mean time of a call, ns, in the shortest batch.
 fn time(mut call: impl FnMut(u32)) -> f64 {
     let batch = |call: &mut dyn FnMut(u32)| {
         let start = Instant::now();
@@ -55,7 +55,7 @@ fn time(mut call: impl FnMut(u32)) -> f64 {
     (0..BATCHES).map(|_| batch(&mut call)).fold(f64::INFINITY, f64::min)
 }
 
-/// The truth in flight, `k` milliseconds after the start.
+/// Returns the truth in flight, `k` milliseconds after the start.
 fn moment(k: u32) -> Snapshot<'static> {
     Snapshot {
         time_s: f64::from(k) * 1e-3,
@@ -66,9 +66,9 @@ fn moment(k: u32) -> Snapshot<'static> {
     }
 }
 
-/// Measures the effects of a scene, in the order in which they apply.
+/// Measures the effects of a scene, in the order in which they are applied.
 pub fn measure(scene: &Scene) -> Vec<Cost> {
-    let scene = &*scene.of_run(scene.seed).0;
+    let scene = &*scene.for_run(scene.seed).0;
     let (seed, rate_hz, mag_rate_hz) = (scene.seed, f64::from(DEFAULT_RATE_HZ), f64::from(MAG_RATE_HZ));
     let mut costs = Vec::new();
     let mut note = |name, ns_per_step| costs.push(Cost { name, ns_per_step });
@@ -112,7 +112,7 @@ pub fn measure(scene: &Scene) -> Vec<Cost> {
     costs
 }
 
-/// What an effect on a stream takes a step, ns.
+/// Measures the time that an effect on a stream of samples takes in a step, ns.
 fn delivery<T>(effect: &mut dyn Delivery<T>, stream: impl Fn(u32) -> Option<T>) -> f64 {
     cost(|k, with| {
         let sample = black_box(stream(k));
@@ -120,13 +120,14 @@ fn delivery<T>(effect: &mut dyn Delivery<T>, stream: impl Fn(u32) -> Option<T>) 
     })
 }
 
-/// What a call with the effect takes beyond the same call without it, ns.
+/// Measures the time of a call with the effect minus that of the same call without it, ns.
 fn cost(mut call: impl FnMut(u32, bool)) -> f64 {
     let with = time(|k| call(k, black_box(true)));
     let without = time(|k| call(k, black_box(false)));
     (with - without).max(0.0)
 }
 
+/// Measures the effects of a sensor; `share` is its rate as a share of the rate of the steps.
 fn readings(sensor: &mut Sensor, share: f64) -> impl Iterator<Item = Cost> {
     sensor.effects_mut().iter_mut().map(move |(name, effect)| {
         let ns = cost(|k, with| {
@@ -140,6 +141,7 @@ fn readings(sensor: &mut Sensor, share: f64) -> impl Iterator<Item = Cost> {
     })
 }
 
+/// Measures the time that an effect on the vehicle takes in a step, ns.
 fn vehicle(effect: VehicleEffect) -> f64 {
     let matrix = IN_FLIGHT.attitude.to_matrix();
     let stage = Stage {
@@ -157,7 +159,7 @@ fn vehicle(effect: VehicleEffect) -> f64 {
             }
             black_box((wanted, at.time_s));
         }),
-        // The middle and the end of the step.
+        // Twice a step: in the middle and at the end.
         VehicleEffect::Lag(lag) => {
             2.0 * cost(|_, with| {
                 let mut rotors = black_box(ROTORS);

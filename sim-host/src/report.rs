@@ -1,8 +1,8 @@
-//! The report of a flight: one HTML file with everything in it.
+//! The report of a flight: one self-contained HTML file.
 //!
-//! It loads nothing, runs nothing, and does not say when it was made: the same scene and seed give the same
-//! bytes. A [`Recorder`] watches the flight; [`write()`] puts what it saw, the outcome and the scene on a page
-//! that can be read on a screen and printed.
+//! The page loads nothing, runs no scripts, and contains no creation time, so the same scene and seed give the same
+//! bytes. A [`Recorder`] records the flight. [`write()`] writes the recorded data, the outcome and the scene as a page
+//! for screen and print.
 //!
 //! ```no_run
 //! use sim_host::flight::Flight;
@@ -32,10 +32,10 @@ use crate::output_file;
 use crate::scene::Scene;
 use input::InputError;
 
-/// Writes the page of a flight of `scene` with `seed`: complete, or not at all.
+/// Writes the page of a flight of `scene` with `seed`. The file is complete or does not exist.
 ///
 /// # Errors
-/// A place that cannot be written.
+/// The file cannot be written.
 pub fn write(
     path: impl AsRef<Path>,
     scene: &Scene,

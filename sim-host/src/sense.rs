@@ -1,7 +1,7 @@
-//! The command `sense`: what the sensors of a scene read, with the truth beside it.
+//! The command `sense`: simulates the sensors of a scene and writes their samples with the truth.
 //!
-//! A scene with a pilot is flown, and its sensors are sampled on the way. A scene without one lies on the
-//! bench, where nothing but the sensors has to be computed.
+//! A scene with a pilot is flown, and its sensors are sampled in flight. In a scene without a pilot the vehicle lies on
+//! the bench, so only the sensors are computed.
 
 use crate::dynamics::Vehicle;
 use crate::effects::Snapshot;
@@ -11,15 +11,17 @@ use crate::scene::{DEFAULT_RATE_HZ, MAG_RATE_HZ, Scene};
 use crate::sensors::Sensors;
 use input::InputError;
 
-/// The three sensors at a rate of one's own.
+/// Samples the three sensors at the rate of the request.
 struct Sampler<'a> {
     sensors: Sensors,
-    /// Samples of gyroscope and accelerometer to one of the magnetometer.
+    /// IMU samples for each magnetometer sample.
     mag_every: u64,
-    /// Samples until the next one of the magnetometer.
+    /// IMU samples until the next magnetometer sample.
     until_mag: u64,
+    /// IMU samples so far.
     samples: u64,
     out: Option<&'a mut LogWriter>,
+    /// The first error of a write.
     failed: Option<InputError>,
 }
 
@@ -28,7 +30,7 @@ impl<'a> Sampler<'a> {
         let mag_every = u64::from(rate_hz / MAG_RATE_HZ).max(1);
         let rate_hz = f64::from(rate_hz);
         Self {
-            sensors: scene.of_run(seed).0.sensors(seed, rate_hz, rate_hz / mag_every as f64),
+            sensors: scene.for_run(seed).0.sensors(seed, rate_hz, rate_hz / mag_every as f64),
             mag_every,
             until_mag: 0,
             samples: 0,
@@ -49,11 +51,11 @@ impl<'a> Sampler<'a> {
         self.until_mag -= 1;
         self.samples += 1;
         let Some(out) = &mut self.out else {
-            // The throughput figure must not be that of a loop that was optimised away.
+            // Keeps the compiler from removing the computation, which the command measures.
             std::hint::black_box((&imu, &mag));
             return;
         };
-        // Without an inertial sample there is no row: that is what a lost one looks like in a log.
+        // A lost IMU sample has no row in a log.
         let Some(imu) = imu else { return };
         let Sensors { gyro, accel, mag: magnetometer, .. } = &self.sensors;
         let row = LogRow {
@@ -70,7 +72,7 @@ impl<'a> Sampler<'a> {
     }
 }
 
-/// Samples a flight that goes on at its own rate.
+/// Observer of a flight that samples its sensors every `interval_us`.
 struct InFlight<'a> {
     sampler: Sampler<'a>,
     interval_us: u64,
@@ -80,21 +82,21 @@ impl Observer for InFlight<'_> {
     fn step(&mut self, view: &StepView) {
         if view.time_us.is_multiple_of(self.interval_us) {
             let moving = view.output.driven;
-            self.sampler.sample(&view.moment, moving);
+            self.sampler.sample(&view.snapshot, moving);
         }
     }
 }
 
-/// Samples the scene's sensors at `rate_hz` with this seed, into `out` if there is one; returns the number
-/// of samples.
+/// Samples the scene's sensors at `rate_hz` with this seed, and writes them to `out` if it is given. Returns the number of
+/// samples.
 ///
 /// # Errors
-/// A rate that the scene can't be sampled at; a log that can't be written.
+/// The rate is out of range for the scene, or the log cannot be written.
 pub fn run(scene: &Scene, seed: u64, rate_hz: u32, out: Option<&mut LogWriter>) -> Result<u64, InputError> {
     let refused = |allowed: &str| Err(InputError::new(allowed).field("--rate-hz").value(rate_hz));
     let sampler = if scene.pilot.is_some() {
         if rate_hz == 0 || !DEFAULT_RATE_HZ.is_multiple_of(rate_hz) {
-            return refused("a scene that flies is sampled at 1000 Hz or a whole fraction of it");
+            return refused("must be 1000 Hz or 1000 Hz divided by a whole number, for a scene that flies");
         }
         let sampler = Sampler::new(scene, seed, rate_hz, out);
         let interval_us = STEP_US * u64::from(DEFAULT_RATE_HZ / rate_hz);
@@ -107,7 +109,7 @@ pub fn run(scene: &Scene, seed: u64, rate_hz: u32, out: Option<&mut LogWriter>) 
         }
         let mut sampler = Sampler::new(scene, seed, rate_hz, out);
         let vehicle = Vehicle::at_rest(scene.vehicle, scene.mount(), vec![], 1e-3);
-        let at_rest = vehicle.moment();
+        let at_rest = vehicle.snapshot();
         let samples = libm::round(scene.duration_s * f64::from(rate_hz)) as u64;
         for k in 0..samples {
             let at = Snapshot { time_s: k as f64 / f64::from(rate_hz), ..at_rest };

@@ -1,4 +1,4 @@
-//! What the sensors make of the truth: effects in a fixed order, then the chip's converter.
+//! The sensors: from the truth through effects in a fixed order, then the chip's converter, to counts.
 //!
 //! ```text
 //!  truth (f64, body axes) ──► effects that the scene names, in the order of `scene/effects.rs` ──► range, LSB ──► counts
@@ -9,29 +9,29 @@ use flight_core::sample::{ImuSample, MagSample};
 use wide::f64x4;
 
 use crate::effects::delivery::{BoxedDelivery, Jitter};
-use crate::effects::{BoxedSensorEffect, OPTIONAL, Snapshot};
+use crate::effects::{BoxedSensorEffect, OPTIONAL_EFFECTS, Snapshot};
 
 /// A chip's 16-bit converter.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Converter {
     per_count: f64,
-    /// Its reciprocal: a division at every sample would cost more than the rest.
+    /// Reciprocal of `per_count`: a division at every sample would cost more than the rest.
     counts_per_unit: f64,
 }
 
 impl Converter {
-    /// A converter with so many SI units (magnetometer: µT) per count.
+    /// Creates a converter with this resolution, SI units (magnetometer: µT) per count.
     pub fn new(per_count: f64) -> Self {
         Self { per_count, counts_per_unit: 1.0 / per_count }
     }
 
-    /// SI units (magnetometer: µT) per count.
+    /// Returns the resolution, SI units (magnetometer: µT) per count.
     pub fn per_count(&self) -> f64 {
         self.per_count
     }
 
-    /// Nearest counts, the ends of the range included. The axes stand side by side in a vector, which a
-    /// compiler does not make of them by itself.
+    /// Returns the nearest counts, limited to the range of 16 bits. The axes are lanes of a SIMD vector, because the
+    /// compiler does not vectorise this by itself.
     #[inline(always)]
     fn convert(&self, Vec3 { x, y, z }: Vec3<f64>) -> [i16; 3] {
         const LOWEST: f64x4 = f64x4::splat(-32768.0);
@@ -44,28 +44,33 @@ impl Converter {
     }
 }
 
-/// A three-axis sensor: its errors, then its converter.
+/// A three-axis sensor: its errors and its converter.
 pub struct Sensor {
     effects: Vec<(&'static str, BoxedSensorEffect)>,
     converter: Converter,
 }
 
 impl Sensor {
-    /// A sensor with these effects, which apply in the order given.
+    /// Creates a sensor with these effects, which apply in the order given.
     pub fn new(effects: Vec<(&'static str, BoxedSensorEffect)>, converter: Converter) -> Self {
         Self { effects, converter }
     }
 
-    /// The effects, to be looked at by themselves.
+    /// Adds an effect after those that the sensor has. See the example `own_effect`.
+    pub fn push(&mut self, name: &'static str, effect: BoxedSensorEffect) {
+        self.effects.push((name, effect));
+    }
+
+    /// Returns the effects, to apply them one by one.
     pub fn effects_mut(&mut self) -> &mut [(&'static str, BoxedSensorEffect)] {
         &mut self.effects
     }
 
-    /// The reading of a true value, before the converter.
+    /// Returns the reading for a true value, before the converter.
     #[inline(always)]
     pub fn measure(&mut self, truth: Vec3<f64>, at: &Snapshot) -> Vec3<f64> {
         let mut reading = truth;
-        if OPTIONAL {
+        if OPTIONAL_EFFECTS {
             for (_, effect) in &mut self.effects {
                 effect.apply_to(&mut reading, at);
             }
@@ -73,48 +78,48 @@ impl Sensor {
         reading
     }
 
-    /// The counts for a true value.
+    /// Returns the counts for a true value.
     #[inline(always)]
     pub fn sample(&mut self, truth: Vec3<f64>, at: &Snapshot) -> [i16; 3] {
         let reading = self.measure(truth, at);
         self.converter.convert(reading)
     }
 
-    /// What counts mean by the datasheet, in SI (magnetometer: µT).
+    /// Converts counts to SI units (magnetometer: µT) with the datasheet's sensitivity.
     pub fn nominal(&self, counts: [i16; 3]) -> Vec3<f64> {
         let [x, y, z] = counts.map(f64::from);
         vec3(x, y, z) * self.converter.per_count()
     }
 }
 
-/// All sensors of a vehicle, and what befalls their samples on the way to the flight controller.
+/// All sensors of a vehicle, and the effects on their samples on the way to the flight controller.
 pub struct Sensors {
-    /// rad/s.
+    /// Gyroscope, rad/s.
     pub gyro: Sensor,
-    /// m/s².
+    /// Accelerometer, m/s².
     pub accel: Sensor,
-    /// µT.
+    /// Magnetometer, µT.
     pub mag: Sensor,
     /// The Earth's field, north, east, down, µT.
     pub field_ut: Vec3<f64>,
-    /// What moves the time at which gyroscope and accelerometer are sampled.
+    /// Jitter of the time at which gyroscope and accelerometer are sampled.
     pub jitter: Option<Jitter>,
-    /// What befalls the samples of gyroscope and accelerometer.
+    /// Delivery effects on the samples of gyroscope and accelerometer.
     pub imu_delivery: Vec<BoxedDelivery<ImuSample>>,
-    /// What befalls the samples of the magnetometer.
+    /// Delivery effects on the samples of the magnetometer.
     pub mag_delivery: Vec<BoxedDelivery<MagSample>>,
 }
 
 impl Sensors {
-    /// Whether gyroscope and accelerometer have no error and lose no sample: then
-    /// [`Self::perfect_imu`] says it all.
+    /// Returns true if gyroscope and accelerometer have no error and lose no sample, so that [`Self::perfect_imu`]
+    /// gives the same result as [`Self::imu`].
     #[inline(always)]
     pub fn imu_is_perfect(&self) -> bool {
         let plain = self.gyro.effects.is_empty() && self.accel.effects.is_empty();
         plain && self.jitter.is_none() && self.imu_delivery.is_empty()
     }
 
-    /// The sample of these true values, rad/s and m/s², but for the converters.
+    /// Returns the sample for these true values, rad/s and m/s², with no error but that of the converters.
     #[inline(always)]
     pub fn perfect_imu(&self, rates: Vec3<f64>, specific_force: Vec3<f64>) -> ImuSample {
         ImuSample {
@@ -123,11 +128,11 @@ impl Sensors {
         }
     }
 
-    /// What arrives of gyroscope and accelerometer. Called once a step.
+    /// Returns the sample of gyroscope and accelerometer that arrives, if any. Called once per step.
     #[inline(always)]
     pub fn imu(&mut self, at: &Snapshot) -> Option<ImuSample> {
         let mut arrived = None;
-        if !OPTIONAL || (self.jitter.is_none() && self.imu_delivery.is_empty()) {
+        if !OPTIONAL_EFFECTS || (self.jitter.is_none() && self.imu_delivery.is_empty()) {
             arrived = Some(self.imu_at(at));
         } else {
             self.imu_delivered(at, &mut arrived);
@@ -135,12 +140,12 @@ impl Sensors {
         arrived
     }
 
-    /// What arrives of the magnetometer. Called when it takes a sample.
+    /// Returns the sample of the magnetometer that arrives, if any. Called when the magnetometer takes a sample.
     #[inline(always)]
     pub fn mag(&mut self, at: &Snapshot) -> Option<MagSample> {
         let field = at.state.attitude.to_matrix().transpose() * self.field_ut;
         let sample = MagSample { counts: self.mag.sample(field, at) };
-        if !OPTIONAL || self.mag_delivery.is_empty() {
+        if !OPTIONAL_EFFECTS || self.mag_delivery.is_empty() {
             Some(sample)
         } else {
             let mut arrived = Some(sample);
@@ -157,8 +162,8 @@ impl Sensors {
         }
     }
 
-    /// Out of the way of scenes that name none of this: handing samples from effect to effect through memory
-    /// would cost them more than their noise does.
+    /// Samples with jitter and delivery effects. It is a separate function, because passing samples through memory would
+    /// cost a scene without these effects more than its sensor noise.
     #[inline(never)]
     fn imu_delivered(&mut self, at: &Snapshot, arrived: &mut Option<ImuSample>) {
         let sample = match &mut self.jitter {
@@ -174,10 +179,10 @@ impl Sensors {
     }
 }
 
-/// Leaves of a sample, or of its absence, what these effects leave of it.
+/// Passes an optional sample through the delivery effects.
 #[inline(never)]
 pub fn deliver<T>(effects: &mut [BoxedDelivery<T>], sample: &mut Option<T>) {
-    // To the end even when nothing is left: every effect counts its steps.
+    // Every effect is called, even if the sample is already lost, because every effect counts its steps.
     for effect in effects {
         effect.pass(sample);
     }

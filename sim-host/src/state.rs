@@ -1,27 +1,27 @@
-//! Where the vehicle is and how it moves.
+//! The state of motion of the vehicle.
 
 use flight_core::geometry::{Quaternion, Vec3};
 
-/// Where the vehicle is and how it moves.
+/// Position, velocity, attitude and rates of the vehicle.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct State {
-    /// North, east, down, m. The ground is at 0.
+    /// Position, m, north, east, down. The ground is at 0.
     pub position: Vec3<f64>,
-    /// North, east, down, m/s.
+    /// Velocity, m/s, north, east, down.
     pub velocity: Vec3<f64>,
-    /// Body to world.
+    /// Attitude, body to world.
     pub attitude: Quaternion<f64>,
     /// Body rates, rad/s.
     pub rates: Vec3<f64>,
 }
 
 impl State {
-    /// Cosine of the angle between the body's and the world's down.
+    /// Returns the cosine of the tilt, the angle between the body's z axis and the vertical.
     pub fn cos_tilt(&self) -> f64 {
         self.attitude.down().z
     }
 
-    /// Whether every number is finite.
+    /// Returns true if every number is finite.
     pub fn is_finite(&self) -> bool {
         let sum = self.position.dot(Vec3::X + Vec3::Z)
             + self.position.y

@@ -1,4 +1,4 @@
-//! The commands `allan` and `paper` as a person or a script meets them.
+//! The commands `allan` and `paper` on the command line.
 
 use std::fmt::Write as _;
 use std::path::Path;
@@ -31,7 +31,7 @@ fn directory_with(name: &str, text: &str) -> tempfile::TempDir {
     directory
 }
 
-/// Rows of white noise in columns, with these cells before them.
+/// Returns rows of white noise, each after the text that `before` gives for it.
 fn noise(rows: usize, columns: usize, separator: &str, before: impl Fn(usize) -> String) -> String {
     let mut streams: Vec<_> = (0..columns).map(|axis| NormalStream::new(1, "rows", axis)).collect();
     let mut text = String::new();
@@ -43,7 +43,7 @@ fn noise(rows: usize, columns: usize, separator: &str, before: impl Fn(usize) ->
 }
 
 #[test]
-fn bad_input_is_one_line_with_its_place_and_exit_code_2() {
+fn bad_input_gives_a_one_line_error_and_exit_code_2() {
     let stamped = |rows: usize| {
         format!("time_s,y\n{}", noise(rows, 1, ",", |row| format!("{:.3},", row as f64 * 0.01)))
     };
@@ -56,7 +56,7 @@ fn bad_input_is_one_line_with_its_place_and_exit_code_2() {
     let good = stamped(100);
     let six = "time_s,gyro_x_rad_s,gyro_y_rad_s\n".to_owned()
         + &noise(50, 2, ",", |row| format!("{:.2},", row as f64 * 0.01));
-    for (what, text, arguments, said) in [
+    for (name, text, arguments, expected) in [
         (
             "a constant column",
             "y\n".to_owned() + &"9.81\n".repeat(50),
@@ -70,17 +70,17 @@ fn bad_input_is_one_line_with_its_place_and_exit_code_2() {
             "bad.csv: y = 2: must have at least 3 values",
         ),
         (
-            "a run of NaN",
+            "a NaN",
             replaced(40, "0.380,NaN"),
             &[],
-            "bad.csv:40: y = NaN: a gap: the column must have a number in every row; cut the record there and analyse \
+            "bad.csv:40: y = NaN: gap: the column must have a number in every row; cut the recording there and analyse \
              the longer part",
         ),
         (
             "an empty cell",
             replaced(40, "0.380,"),
             &[],
-            "bad.csv:40: y = \"\": a gap: the column must have a number in every row; cut the record there and analyse \
+            "bad.csv:40: y = \"\": gap: the column must have a number in every row; cut the recording there and analyse \
              the longer part",
         ),
         (
@@ -99,20 +99,20 @@ fn bad_input_is_one_line_with_its_place_and_exit_code_2() {
             "a lost row",
             replaced(40, "").replace("\n\n", "\n"),
             &[],
-            "bad.csv:40: time_s = 2.000000e-2 s after the row before: uneven stamps: the steps must be within 1.010e-3 s of \
-             their mean, 1.010204e-2 s; --rate-hz takes the rows as even",
+            "bad.csv:40: time_s = 2.000000e-2 s after the previous row: uneven time stamps: the steps must be within 1.010e-3 s of \
+             their mean, 1.010204e-2 s; set --rate-hz to treat the rows as even",
         ),
         (
-            "time that stands still",
+            "a repeated time",
             replaced(40, "0.370,1"),
             &[],
-            "bad.csv:40: time_s = 0.37: must rise: the row before has 0.37",
+            "bad.csv:40: time_s = 0.37: must increase: the previous row has 0.37",
         ),
         (
             "no rate",
             "y\n1\n2\n4\n".into(),
             &[],
-            "bad.csv: --rate-hz: the rate is missing: the file has no column time_s; say --rate-hz",
+            "bad.csv: --rate-hz: is missing: the file has no column time_s",
         ),
         (
             "a rate of 0",
@@ -121,48 +121,48 @@ fn bad_input_is_one_line_with_its_place_and_exit_code_2() {
             "--rate-hz = 0: must be above 1e-9 and below 1e9 Hz",
         ),
         (
-            "a row too short",
+            "a row that is too short",
             replaced(40, "0.380"),
             &[],
             "bad.csv:40: number of cells = 1: must be 2, as in the header",
         ),
         ("an empty file", String::new(), &[], "bad.csv: the file is empty: it must have rows of numbers"),
         (
-            "a column that is not there",
+            "an unknown column",
             good.clone(),
             &["--column", "z"],
             "bad.csv: --column = z: must be the name of a column or its number from 1 to 2; there are time_s, y",
         ),
         (
-            "two names for one column",
+            "one column twice",
             good.clone(),
             &["--column", "y", "--column", "2"],
-            "--column = 2: must be named once",
+            "--column = 2: names a column a second time",
         ),
         (
-            "a role that there is not",
+            "an unknown role",
             good.clone(),
             &["--column", "gyro_x=y"],
             "--column = gyro_x=y: the part before = must be gyro_{x,y,z}_{rad_s,deg_s}, accel_{x,y,z}_{m_s2,g} or \
              mag_{x,y,z}_ut",
         ),
         (
-            "several columns and none named",
+            "several columns without --column",
             "a,b\n1,2\n3,4\n5,7\n".into(),
             &["--rate-hz", "1"],
-            "bad.csv: --column: which of the columns? Say --column; there are a, b",
+            "bad.csv: --column: must name a column: the file has a, b",
         ),
         (
             "a header of numbers and text",
             "time,0\n0.1,5\n0.2,6\n0.3,8\n".into(),
             &["--rate-hz", "1", "--column", "2"],
-            "bad.csv:1: the first row is partly text and partly numbers: say --header yes or no",
+            "bad.csv:1: the first row is partly text and partly numbers: set --header to yes or no",
         ),
         (
-            "a file parted in two ways",
+            "a file with two separators",
             "a;b,c;d\n1;2,3;4\n".into(),
             &["--rate-hz", "1"],
-            "bad.csv: cannot tell what parts the columns: say --separator comma, semicolon or tab",
+            "bad.csv: the separator of the columns is ambiguous: set --separator to comma, semicolon or tab",
         ),
         (
             "two axes of three for a preset",
@@ -171,24 +171,24 @@ fn bad_input_is_one_line_with_its_place_and_exit_code_2() {
             "--imu: must have all three axes of gyro, or none",
         ),
         (
-            "a preset of who knows what",
+            "a preset of an unknown sensor",
             good.clone(),
             &["--imu", "out.toml"],
-            "--imu: must have the columns gyro_{x,y,z}_rad_s (or _deg_s) or accel_{x,y,z}_m_s2 (or _g); others are \
-             renamed with --column gyro_x_rad_s=NAME",
+            "--imu: must have the columns gyro_{x,y,z}_rad_s (or _deg_s) or accel_{x,y,z}_m_s2 (or _g); rename other \
+             columns with --column gyro_x_rad_s=NAME",
         ),
     ] {
         let directory = directory_with("bad.csv", &text);
         let output = sim_host(&[&["allan", "bad.csv"], arguments].concat(), directory.path());
         let error = String::from_utf8(output.stderr).unwrap();
-        assert_eq!(error, format!("error: {said}\n"), "{what}");
-        assert_eq!((output.status.code(), output.stdout.len()), (Some(2), 0), "{what}");
-        assert_eq!(std::fs::read_dir(directory.path()).unwrap().count(), 1, "{what}: nothing is left behind");
+        assert_eq!(error, format!("error: {expected}\n"), "{name}");
+        assert_eq!((output.status.code(), output.stdout.len()), (Some(2), 0), "{name}");
+        assert_eq!(std::fs::read_dir(directory.path()).unwrap().count(), 1, "{name}: no file is left");
     }
 }
 
 #[test]
-fn three_samples_are_a_stated_result() {
+fn three_samples_give_a_deviation_and_a_reason() {
     let directory = directory_with("short.csv", "y\n1\n2\n4\n");
     let found = json(&["allan", "short.csv", "--rate-hz", "10"], directory.path());
     let y = &found["columns"]["y"];
@@ -198,7 +198,7 @@ fn three_samples_are_a_stated_result() {
 }
 
 #[test]
-fn separators_headers_and_numbers_of_columns_are_found() {
+fn separators_headers_and_column_numbers_are_detected() {
     let plain = noise(4000, 2, ",", |_| String::new());
     let decimal_commas =
         plain.lines().map(|l| l.replace(',', ";").replace('.', ",") + "\n").collect::<String>();
@@ -224,7 +224,7 @@ fn separators_headers_and_numbers_of_columns_are_found() {
 }
 
 #[test]
-fn every_statistic_and_choice_of_tau_answers_and_an_angle_is_a_rate_summed() {
+fn all_statistics_agree_for_a_rate_and_its_integral() {
     let rows = noise(3000, 1, ",", |_| String::new());
     let mut angle = 0.0;
     let mut angles = String::from("0.0\n");
@@ -254,8 +254,8 @@ fn every_statistic_and_choice_of_tau_answers_and_an_angle_is_a_rate_summed() {
 }
 
 #[test]
-fn what_would_take_hours_is_refused() {
-    // Hours on any number of cores that a machine may have.
+fn analysis_that_takes_hours_needs_force() {
+    // This takes hours on any machine.
     let directory = directory_with("long.csv", &"0\n1\n0\n".repeat(1_500_000));
     let arguments = ["allan", "long.csv", "--rate-hz", "100", "--taus", "all", "--statistic", "total"];
     let output = sim_host(&arguments, directory.path());
@@ -264,9 +264,9 @@ fn what_would_take_hours_is_refused() {
     assert!(error.contains("--taus") && error.contains("--force") && error.contains("minutes"), "{error}");
 }
 
-/// From a recording to a flight: record, analyse, and fly a scene with the preset.
+/// Makes a recording, analyses it, and flies a scene with the resulting preset.
 #[test]
-fn a_recording_becomes_a_preset_that_flies() {
+fn preset_from_a_recording_flies() {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path();
     let run = |arguments: &[&str]| {
@@ -276,23 +276,23 @@ fn a_recording_becomes_a_preset_that_flies() {
     run(&["sense", "static", "--out", "log.csv", "--duration", "600", "--rate-hz", "200"]);
     run(&["allan", "log.csv", "--imu", "my-imu.toml", "--kalibr", "imu.yaml", "--plot", "plot.svg"]);
     let preset = std::fs::read_to_string(path.join("my-imu.toml")).unwrap();
-    for said in ["recording     log.csv", "length        600.0 s at 200.0 Hz", "temperature   not recorded"] {
-        assert!(preset.contains(said), "{preset}");
+    for line in ["recording     log.csv", "length        600.0 s at 200.0 Hz", "temperature   not recorded"] {
+        assert!(preset.contains(line), "{preset}");
     }
-    // The recording shows the steps of its converters.
+    // The quantization steps of the converters are identified from the recording.
     assert!(preset.contains("lsb_per_deg_s = 16.4 ") && preset.contains("lsb_per_g = 2048.0 "), "{preset}");
     let figure = |key: &str| -> Vec<f64> {
         let line = preset.lines().find(|line| line.starts_with(key)).unwrap();
         let inside = line.split_once('[').unwrap().1.trim_end_matches(']');
         inside.split(',').map(|x| x.trim().parse().unwrap()).collect()
     };
-    for (found, put_in) in [
+    for (found, simulated) in [
         (figure("n_deg_per_sqrt_h"), [1.9368, 1.239, 1.239]),
         (figure("n_m_s2_per_sqrt_hz"), [0.0012, 0.0012, 0.0014]),
         (figure("n_ut_per_sqrt_hz"), [0.03, 0.03, 0.03]),
     ] {
-        for (found, put_in) in found.iter().zip(put_in) {
-            assert!((found / put_in - 1.0).abs() < 0.05, "{found} for {put_in}");
+        for (found, simulated) in found.iter().zip(simulated) {
+            assert!((found / simulated - 1.0).abs() < 0.05, "{found} for {simulated}");
         }
     }
     let yaml = std::fs::read_to_string(path.join("imu.yaml")).unwrap();
@@ -325,7 +325,7 @@ fn a_recording_becomes_a_preset_that_flies() {
 }
 
 #[test]
-fn a_record_with_temperature_in_other_units_and_names_is_taken() {
+fn recording_in_other_units_and_names_gives_a_preset() {
     let rows = noise(20_000, 6, ",", |row| format!("{},", 25.0 + row as f64 * 1e-4));
     let directory = directory_with("own.csv", &format!("temp_c,wx,wy,wz,ax,ay,az\n{rows}"));
     let roles = [
@@ -348,7 +348,7 @@ fn a_record_with_temperature_in_other_units_and_names_is_taken() {
     assert!((first / 6.0 - 1.0).abs() < 0.05, "{n}");
 }
 
-/// Table 2 through the sensor model and back: each run within 3.5 %, the mean of 20 within 1 %.
+/// Simulates an hour with the noise of table 2 and identifies it: each run within 3.5 %, the mean of 20 runs within 1 %.
 #[test]
 fn a_simulated_hour_with_table_2_reads_back() {
     use allan::{Phase, Statistic, Taus};
@@ -357,7 +357,7 @@ fn a_simulated_hour_with_table_2_reads_back() {
     use sim_host::effects::Snapshot;
 
     const RATE_HZ: f64 = 100.0;
-    let put_in = [1.9368, 1.239, 1.239].map(|n: f64| (n / 60.0).to_radians());
+    let simulated = [1.9368, 1.239, 1.239].map(|n: f64| (n / 60.0).to_radians());
     let text = "[scene]\nduration_s = 3600.0\nseed = 1\nvehicle = \"os4\"\nimu = \"paper\"\n[effects.gyro.white_noise]\n";
     let scene = Scene::parse("hour", text).unwrap();
     let vehicle = Vehicle::at_rest(scene.vehicle, scene.mount(), vec![], 1e-3);
@@ -367,7 +367,7 @@ fn a_simulated_hour_with_table_2_reads_back() {
         let mut gyro = scene.gyro(seed, RATE_HZ);
         let mut axes = [vec![], vec![], vec![]];
         for k in 0..360_000 {
-            let at = Snapshot { time_s: f64::from(k) / RATE_HZ, ..vehicle.moment() };
+            let at = Snapshot { time_s: f64::from(k) / RATE_HZ, ..vehicle.snapshot() };
             let counts = gyro.sample(Vec3::ZERO, &at);
             let reading = <[f64; 3]>::from(gyro.nominal(counts));
             axes.iter_mut().zip(reading).for_each(|(axis, y)| axis.push(y));
@@ -377,7 +377,7 @@ fn a_simulated_hour_with_table_2_reads_back() {
             let factors = Taus::Octave.factors(Statistic::Overlapping.largest_factor(phase.samples()));
             let points = allan::deviations(&phase, Statistic::Overlapping, &factors, 1, &|_, _| ());
             let fit = allan::fitted(&points, phase.length_s(), None);
-            let off = fit.found[1].value().unwrap() / put_in[i] - 1.0;
+            let off = fit.found[1].value().unwrap() / simulated[i] - 1.0;
             assert!(off.abs() < 0.035, "seed {seed}, axis {i}: {off}");
             mean[i] += off / f64::from(seeds as u32);
         }
@@ -387,7 +387,7 @@ fn a_simulated_hour_with_table_2_reads_back() {
 }
 
 #[test]
-fn the_paper_is_made_and_says_what_it_leaves_out() {
+fn paper_without_recordings_names_the_missing_figures() {
     let directory = tempfile::tempdir().unwrap();
     let made = json(&["paper", "--out", "page"], directory.path());
     assert_eq!(made["tables"].as_array().unwrap().len(), 1);
@@ -399,7 +399,7 @@ fn the_paper_is_made_and_says_what_it_leaves_out() {
 
 #[test]
 #[ignore = "needs KESTREL_DATA, the BROAD recordings"]
-fn the_paper_lays_recordings_beside_the_simulation() {
+fn paper_with_recordings_has_all_figures() {
     let data = std::env::var_os("KESTREL_DATA").expect("KESTREL_DATA names the directory of the recordings");
     // Cargo runs tests in their package, `.ci/run` names the directory from the workspace.
     let data = Path::new(env!("CARGO_MANIFEST_DIR")).join("..").join(data);

@@ -1,4 +1,4 @@
-//! Campaigns as a person or a batch system meets them: files, exit codes, the command that flies a run again.
+//! Campaigns on the command line: files, exit codes, and the command that repeats a run.
 
 use std::path::Path;
 use std::process::{Command, Output};
@@ -9,7 +9,7 @@ fn sim_host(arguments: &[&str], directory: &Path) -> Output {
     Command::new(env!("CARGO_BIN_EXE_sim-host")).args(arguments).current_dir(directory).output().unwrap()
 }
 
-/// Two seconds on the stand, armed and turning, with a vehicle of its own in each run.
+/// A scene on the test stand with 2 s of motion, and another vehicle in each run.
 const SPREAD: &str = "include = \"stand-steps\"
 [scene]
 duration_s = 8.5
@@ -31,7 +31,7 @@ fn read(directory: &Path, file: &str) -> String {
 }
 
 #[test]
-fn shards_merged_are_the_unsplit_campaign_byte_for_byte() {
+fn merged_shards_equal_the_campaign_byte_for_byte() {
     let directory = with_scene();
     let directory = directory.path();
     let fly = |arguments: &[&str]| {
@@ -53,13 +53,16 @@ fn shards_merged_are_the_unsplit_campaign_byte_for_byte() {
 
     let lost = sim_host(&["merge", "part-1.csv", "part-3.csv", "--out", "lost.csv"], directory);
     assert_eq!(lost.status.code(), Some(2));
-    assert_eq!(String::from_utf8(lost.stderr).unwrap(), "error: PART: a part is missing: runs 2 to 3 of 7\n");
+    assert_eq!(
+        String::from_utf8(lost.stderr).unwrap(),
+        "error: PART: must include runs 2 to 3 of 7: the file of a shard is missing\n"
+    );
     assert!(!directory.join("lost.csv").exists());
 }
 
-/// Every run of a campaign is flown again by the command that its summary prints, with the vehicle it had.
+/// The commands that the summary of a campaign prints repeat its runs, with the same drawn values.
 #[test]
-fn the_printed_command_flies_that_very_run() {
+fn printed_command_repeats_the_run() {
     let directory = with_scene();
     let arguments = ["fly", "spread.toml", "--runs", "4", "--seed", "100", "--duration", "9", "--json"];
     let output = sim_host(&arguments, directory.path());
@@ -78,12 +81,12 @@ fn the_printed_command_flies_that_very_run() {
         }
         assert_eq!(run["drawn"].as_object().unwrap().len(), 3 + 4 + 1 + 3);
     }
-    // Another vehicle for each.
+    // Each run has another vehicle.
     assert_ne!(runs[0]["drawn"], runs[1]["drawn"]);
 }
 
 #[test]
-fn plan_shows_what_is_drawn_and_what_that_adds() {
+fn plan_lists_tolerances_and_the_effects_that_they_add() {
     let directory = with_scene();
     let output = sim_host(&["plan", "spread.toml", "--json"], directory.path());
     let plan: Value = serde_json::from_slice(&output.stdout).unwrap();
@@ -101,9 +104,10 @@ fn plan_shows_what_is_drawn_and_what_that_adds() {
     assert!(runs.iter().all(|name| !left_out.contains(name)), "{left_out:?}");
 }
 
-/// The noise of a run is that of the same seed without tolerances: at rest on the bench nothing else differs.
+/// A run has the same noise as the run with the same seed without tolerances. At rest on the bench only the noise differs
+/// from sample to sample, so the samples must be equal.
 #[test]
-fn tolerances_move_no_noise() {
+fn tolerances_do_not_change_the_noise() {
     let directory = tempfile::tempdir().unwrap();
     let logs =
         ["", "[tolerances]\nmass_kg = { normal_percent = 20 }\narm_m = { uniform = 0.01 }\n"].map(|lines| {
@@ -118,19 +122,19 @@ fn tolerances_move_no_noise() {
     };
     let [plain, spread] = logs.map(|log| readings(&log));
     assert_eq!(plain.len(), 1000);
-    // But for the first moments on its legs, which give by the same millimetre under another weight.
+    // The first 0.5 s differ: the vehicle settles on its legs, which depends on its mass.
     assert_eq!(plain[500..], spread[500..]);
 }
 
 #[test]
-fn crashes_are_counted_against_the_budget() {
+fn more_crashes_than_max_failures_exit_with_1() {
     let directory = tempfile::tempdir().unwrap();
     let arguments = ["fly", "motor-out", "--runs", "3", "--jobs", "2", "--out", "crashes.csv"];
-    for (budget, code) in [(None, 1), (Some("2"), 1), (Some("3"), 0)] {
-        let budget = budget.map_or(vec![], |budget| vec!["--max-failures", budget]);
-        let flown = sim_host(&[&arguments[..], &budget].concat(), directory.path());
+    for (max_failures, code) in [(None, 1), (Some("2"), 1), (Some("3"), 0)] {
+        let option = max_failures.map_or(vec![], |max| vec!["--max-failures", max]);
+        let flown = sim_host(&[&arguments[..], &option].concat(), directory.path());
         assert_eq!(flown.status.code(), Some(code), "{flown:?}");
-        let merged = sim_host(&[&["merge", "crashes.csv"][..], &budget].concat(), directory.path());
+        let merged = sim_host(&[&["merge", "crashes.csv"][..], &option].concat(), directory.path());
         assert_eq!((merged.status.code(), &merged.stdout), (Some(code), &flown.stdout));
         let text = String::from_utf8(flown.stdout).unwrap();
         assert!(text.starts_with("motor-out: 3 flights, seeds 7 to 9, 3 crashed\n"), "{text}");
@@ -139,7 +143,7 @@ fn crashes_are_counted_against_the_budget() {
 }
 
 #[test]
-fn what_cannot_be_is_refused_before_anything_flies() {
+fn bad_arguments_are_refused_before_the_first_flight() {
     let directory = tempfile::tempdir().unwrap();
     for arguments in [
         &["--jobs", "0", "--runs", "2"][..],
@@ -159,7 +163,7 @@ fn what_cannot_be_is_refused_before_anything_flies() {
     assert_eq!(std::fs::read_dir(directory.path()).unwrap().count(), 0);
 }
 
-/// Ctrl-C: the flights under way are flown to their end, and no file is left.
+/// After Ctrl-C the running flights are finished, no further one starts, and no file is left.
 #[cfg(target_os = "linux")]
 #[test]
 fn ctrl_c_ends_a_campaign_and_leaves_no_file() {
@@ -174,7 +178,7 @@ fn ctrl_c_ends_a_campaign_and_leaves_no_file() {
         .stderr(std::process::Stdio::piped())
         .spawn()
         .unwrap();
-    // The temporary file is made behind the handler of the signal, and just before the first flight.
+    // The temporary file is created after the signal handler is installed, and just before the first flight.
     while std::fs::read_dir(directory.path()).unwrap().count() == 0 {
         std::thread::yield_now();
     }
@@ -182,7 +186,7 @@ fn ctrl_c_ends_a_campaign_and_leaves_no_file() {
     let output = child.wait_with_output().unwrap();
     assert_eq!(output.status.code(), Some(130), "{output:?}");
     assert!(output.stdout.is_empty());
-    let said = String::from_utf8(output.stderr).unwrap();
-    assert!(said.starts_with("interrupted, no file written: hover: "), "{said}");
+    let message = String::from_utf8(output.stderr).unwrap();
+    assert!(message.starts_with("interrupted, no file written: hover: "), "{message}");
     assert_eq!(std::fs::read_dir(directory.path()).unwrap().count(), 0);
 }

@@ -1,4 +1,4 @@
-//! The program as a person or a script meets it: results, bad input, exit codes.
+//! The program on the command line: results, errors, exit codes.
 
 use std::path::Path;
 use std::process::{Command, Output};
@@ -22,22 +22,22 @@ const HOVER: &str = include_str!("../scenes/hover.toml");
 const LOG: &str = "time_s,gyro_x_rad_s,gyro_y_rad_s,gyro_z_rad_s,accel_x_m_s2,accel_y_m_s2,accel_z_m_s2\n\
                    0.00,0,0,0,0,0,-9.81\n0.01,0,0,0,0,0,-9.81\n0.02,0,0,0,0,0,-9.81\n";
 
-/// A scene or log that is nearly right, and the one line that says what is wrong with it.
+/// A file with one error, and the error message of one line that is expected.
 struct Case {
-    what: &'static str,
+    name: &'static str,
     arguments: &'static [&'static str],
     file: &'static str,
     text: String,
-    said: &'static str,
+    expected: &'static str,
 }
 
-fn scene(what: &'static str, from: &str, to: &str, said: &'static str) -> Case {
+fn scene(name: &'static str, from: &str, to: &str, expected: &'static str) -> Case {
     assert!(HOVER.contains(from), "the scene has no {from}");
-    Case { what, arguments: &["fly", "bad.toml"], file: "bad.toml", text: HOVER.replace(from, to), said }
+    Case { name, arguments: &["fly", "bad.toml"], file: "bad.toml", text: HOVER.replace(from, to), expected }
 }
 
-fn log(what: &'static str, text: String, said: &'static str) -> Case {
-    Case { what, arguments: &["estimate", "bad.csv"], file: "bad.csv", text, said }
+fn log(name: &'static str, text: String, expected: &'static str) -> Case {
+    Case { name, arguments: &["estimate", "bad.csv"], file: "bad.csv", text, expected }
 }
 
 fn cases() -> Vec<Case> {
@@ -68,7 +68,7 @@ fn cases() -> Vec<Case> {
             "[flight]",
             "[vehicle]\nmass = 650.0\n[flight]",
             "bad.toml:10: unknown field `mass`, expected one of `description`, `mass_g`, `cells`, `feet_mm`, `inertia`, \
-             `rotors`, `drag`, `esc`, `gains`, `rates`, `filters`, `battery`, `radio`, `mounting` (did you mean `mass_g`?)",
+             `rotors`, `drag`, `esc`, `gains`, `rates`, `filters`, `battery`, `rc`, `mounting` (did you mean `mass_g`?)",
         ),
         scene(
             "a cutoff above Nyquist",
@@ -83,47 +83,47 @@ fn cases() -> Vec<Case> {
             "bad.toml: flight.estimator = fligth: must be one of paper, paper-literal, flight, robust (did you mean `flight`?)",
         ),
         scene(
-            "a number that is none",
+            "not a number",
             "duration_s = 30.0",
             "duration_s = nan",
             "bad.toml: scene.duration_s = NaN: must be from 0.01 to 1000000 s",
         ),
         scene(
-            "a word for a number",
+            "a string for a number",
             "duration_s = 30.0",
             "duration_s = \"long\"",
             "bad.toml:4: invalid type: string \"long\", expected f64",
         ),
-        scene("no TOML", "[scene]", "[scene", "bad.toml:2: unclosed table, expected `]`"),
+        scene("invalid TOML", "[scene]", "[scene", "bad.toml:2: unclosed table, expected `]`"),
         Case {
-            what: "an empty scene",
+            name: "an empty scene",
             arguments: &["fly", "bad.toml"],
             file: "bad.toml",
             text: String::new(),
-            said: "bad.toml: is empty; a scene needs a [scene] table",
+            expected: "bad.toml: is empty; a scene needs a [scene] table",
         },
         Case {
-            what: "a scene that is not there",
+            name: "an unknown scene",
             arguments: &["fly", "hovr"],
             file: "unused",
             text: String::new(),
-            said: "SCENE = hovr: no such file and no built-in scene (did you mean `hover`?) (there are: hover, steps, \
-                       stand-steps, static, bench-static, windy-landing, hot-day, weak-battery, magnetic-site, \
-                       motor-out, shaky-frame, bad-link, rough-sampling, whole-drive)",
+            expected: "SCENE = hovr: must be a scene file or a built-in scene: hover, steps, stand-steps, static, bench-static, \
+                   windy-landing, hot-day, weak-battery, magnetic-site, motor-out, shaky-frame, bad-link, \
+                   rough-sampling, whole-drive (did you mean `hover`?)",
         },
         Case {
-            what: "a duration that leaves no time to land",
+            name: "a duration too short to land",
             arguments: &["fly", "hover", "--duration", "6"],
             file: "unused",
             text: String::new(),
-            said: "--duration = 6: must be at least 13 s: take-off 5 s after the start, landing 8 s before the end",
+            expected: "--duration = 6: must be at least 13 s: take-off 5 s after the start, landing 8 s before the end",
         },
         Case {
-            what: "a rate that a flight can't be sampled at",
+            name: "a rate that is not a divisor of 1000 Hz",
             arguments: &["sense", "hover", "--rate-hz", "300"],
             file: "unused",
             text: String::new(),
-            said: "--rate-hz = 300: a scene that flies is sampled at 1000 Hz or a whole fraction of it",
+            expected: "--rate-hz = 300: must be 1000 Hz or 1000 Hz divided by a whole number, for a scene that flies",
         },
         log("an empty log", String::new(), "bad.csv: the file is empty: a log must begin with a header row"),
         log(
@@ -139,26 +139,26 @@ fn cases() -> Vec<Case> {
         log(
             "time running backwards",
             LOG.replace("0.02,", "0.005,"),
-            "bad.csv:4: time_s = 0.005: must be at least 1 µs after the row before it (0.01 s)",
+            "bad.csv:4: time_s = 0.005: must be at least 1 µs after the previous row (0.01 s)",
         ),
     ]
 }
 
 #[test]
-fn bad_input_is_one_clear_line_and_exit_code_2() {
+fn bad_input_gives_a_one_line_error_and_exit_code_2() {
     let mut wrong = Vec::new();
     for case in cases() {
         let directory = tempfile::tempdir().unwrap();
         std::fs::write(directory.path().join(case.file), &case.text).unwrap();
         let output = sim_host(case.arguments, directory.path());
-        let said = String::from_utf8(output.stderr).unwrap();
-        if said != format!("error: {}\n", case.said)
+        let error = String::from_utf8(output.stderr).unwrap();
+        if error != format!("error: {}\n", case.expected)
             || output.status.code() != Some(2)
             || !output.stdout.is_empty()
         {
             wrong.push(format!(
-                "{}: exit {:?}\n  said   {said}  wanted error: {}",
-                case.what, output.status, case.said
+                "{}: exit {:?}\n  got      {error}  expected error: {}",
+                case.name, output.status, case.expected
             ));
         }
     }
@@ -177,7 +177,7 @@ fn usage_errors_exit_with_2() {
 }
 
 #[test]
-fn nothing_is_left_of_an_output_that_can_not_be_written() {
+fn unwritable_output_leaves_no_file() {
     let directory = tempfile::tempdir().unwrap();
     let output = sim_host(&["fly", "hover", "--log", "missing/log.csv"], directory.path());
     assert_eq!(output.status.code(), Some(2));
@@ -185,7 +185,7 @@ fn nothing_is_left_of_an_output_that_can_not_be_written() {
 }
 
 #[test]
-fn fly_prints_the_keys_of_the_contract() {
+fn fly_json_has_the_documented_keys() {
     let flight = json(&["fly", "--json"]);
     assert_eq!(flight["scene"], "hover");
     assert_eq!((flight["seed"].as_u64(), flight["control_steps"].as_u64()), (Some(7), Some(30_000)));
@@ -204,7 +204,7 @@ fn fly_prints_the_keys_of_the_contract() {
 }
 
 #[test]
-fn many_runs_are_the_single_flights_in_order() {
+fn runs_of_a_campaign_equal_single_flights_in_order() {
     let many = json(&["fly", "stand-steps", "--runs", "5", "--json"]);
     let runs = many["runs"].as_array().unwrap();
     assert_eq!(runs.len(), 5);
@@ -215,7 +215,7 @@ fn many_runs_are_the_single_flights_in_order() {
 }
 
 #[test]
-fn a_crash_exits_with_1() {
+fn crash_exits_with_1() {
     let directory = tempfile::tempdir().unwrap();
     let steps = include_str!("../scenes/steps.toml").replace("[flight]", "[flight]\nestimator = \"paper\"");
     std::fs::write(directory.path().join("tips.toml"), steps).unwrap();
@@ -226,7 +226,7 @@ fn a_crash_exits_with_1() {
 }
 
 #[test]
-fn the_log_of_a_flight_can_be_estimated_over() {
+fn estimate_reads_the_logs_of_fly_and_sense() {
     let directory = tempfile::tempdir().unwrap();
     for arguments in [
         &["fly", "hover", "--log", "log.csv"][..],
@@ -236,14 +236,14 @@ fn the_log_of_a_flight_can_be_estimated_over() {
         let path = directory.path().join("log.csv");
         let score = json(&["estimate", path.to_str().unwrap(), "--estimator", "flight", "--json"]);
         let flight = &score["estimators"]["flight"];
-        // The log holds what the sensors read, 200 µT of hard iron included: only the tilt can be right.
+        // The magnetometer samples of the log include the hard iron of 200 µT, so only the inclination can be correct.
         assert!(flight["inclination_rmse_deg"].as_f64().unwrap() < 0.5, "{score}");
         assert!(flight["ns_per_update"].as_f64().unwrap() > 0.0);
     }
 }
 
 #[test]
-fn sense_counts_its_samples_and_writes_the_same_file_twice() {
+fn sense_is_reproducible_and_counts_its_samples() {
     let sense = json(&["sense", "static", "--duration", "2", "--rate-hz", "250", "--json"]);
     assert_eq!(sense["samples"], 500);
     let directory = tempfile::tempdir().unwrap();
@@ -263,7 +263,7 @@ fn config_writes_the_record_that_the_board_reads() {
     let record = std::fs::read(&path).unwrap();
     let scene = sim_host::scene::Scene::load("hover").unwrap();
     assert_eq!(stored_config::decode(&record), Ok(scene.config));
-    assert_eq!(config["calibration"], "of the scene's SIMULATED sensors (mag.hard_iron), not of yours");
+    assert_eq!(config["calibration"], "of the scene's SIMULATED sensors (mag.hard_iron), not of real ones");
     assert_eq!(
         (config["vehicle"].as_str(), config["declination_deg"].as_f64().unwrap().round()),
         (Some("os4"), 6.0)
@@ -285,9 +285,9 @@ fn config_writes_the_record_that_the_board_reads() {
     assert_eq!(std::fs::read(directory.path().join("again.bin")).unwrap(), record);
 }
 
-/// How board and magnetometer lie in the vehicle is in the record, because the board takes it from there.
+/// The board takes the mounting of board and magnetometer in the vehicle from the record.
 #[test]
-fn the_record_has_the_vehicles_mounting() {
+fn config_record_has_the_mounting_of_the_vehicle() {
     let directory = tempfile::tempdir().unwrap();
     let scene = "include = \"hover\"\n[vehicle.mounting]\nboard = [\"right\", \"backward\", \"down\"]\n\
                  magnetometer = [\"left\", \"backward\", \"up\"]\n";
@@ -296,16 +296,16 @@ fn the_record_has_the_vehicles_mounting() {
     assert!(output.status.success(), "{output:?}");
     let record = std::fs::read(directory.path().join("config.bin")).unwrap();
     let params = stored_config::decode(&record).unwrap().params;
-    // Columns: where x, y and z of the chip point in the body.
+    // The columns are the directions of the chip's x, y and z axes in body axes.
     let rows = |mounting: flight_core::geometry::Mat3<f32>| mounting.rows.map(|row| [row.x, row.y, row.z]);
     let board = [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]];
     assert_eq!((rows(params.gyro.mounting), rows(params.accel.mounting)), (board, board));
     assert_eq!(rows(params.mag.mounting), [[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]]);
 }
 
-/// No command puts an output in the place of a file that it reads, whichever names it, or of another output.
+/// No command overwrites a file that it reads, directly or through a scene, or another of its outputs.
 #[test]
-fn what_is_read_is_not_written_to() {
+fn outputs_do_not_overwrite_inputs_or_each_other() {
     let directory = tempfile::tempdir().unwrap();
     let write = |name: &str, text: &str| std::fs::write(directory.path().join(name), text).unwrap();
     let vehicle = include_str!("../../vehicles/five-inch.toml");
@@ -317,7 +317,7 @@ fn what_is_read_is_not_written_to() {
                  [pilot]\nland_before_end_s = 0.1\n";
     write("top.toml", scene);
     let read = "must not be a file that is read";
-    for (arguments, said) in [
+    for (arguments, expected) in [
         (&["config", "hover", "--vehicle", "quad.toml", "--out", "quad.toml"][..], read),
         (&["config", "top.toml", "--out", "below.toml"], read),
         (&["fly", "top.toml", "--log", "quad.toml"], read),
@@ -326,12 +326,12 @@ fn what_is_read_is_not_written_to() {
         (&["sense", "top.toml", "--out", "./below.toml"], read),
         (
             &["fly", "top.toml", "--log", "same", "--report", "./same"],
-            "--report = ./same: is --log's file already",
+            "--report = ./same: is already the file of --log",
         ),
     ] {
         let output = sim_host(arguments, directory.path());
         let error = String::from_utf8(output.stderr).unwrap();
-        assert!(output.status.code() == Some(2) && error.contains(said), "{arguments:?}: {error}");
+        assert!(output.status.code() == Some(2) && error.contains(expected), "{arguments:?}: {error}");
     }
     for (name, text) in
         [("quad.toml", vehicle), ("imu.toml", imu), ("below.toml", HOVER), ("top.toml", scene)]
@@ -341,9 +341,9 @@ fn what_is_read_is_not_written_to() {
     assert!(!directory.path().join("same").exists());
 }
 
-/// What is wrong with a vehicle is said of the file that has it, or lacks it.
+/// An error of a vehicle names the file in which the value is, or from which it is missing.
 #[test]
-fn a_vehicles_mistakes_are_those_of_its_file() {
+fn vehicle_errors_name_the_file_that_has_them() {
     let directory = tempfile::tempdir().unwrap();
     let write = |name: &str, text: &str| std::fs::write(directory.path().join(name), text).unwrap();
     let vehicle = include_str!("../../vehicles/five-inch.toml");
@@ -355,7 +355,7 @@ fn a_vehicles_mistakes_are_those_of_its_file() {
     write("none.toml", "[scene]\nduration_s = 1.0\nseed = 1\nimu = \"paper\"\n");
     write("number.toml", &format!("{include}vehicle = 5\n"));
     write("include.toml", "include = 5\n");
-    for (arguments, said) in [
+    for (arguments, expected) in [
         (&["fly", "hover", "--vehicle", "no-mass.toml"][..], "no-mass.toml: missing field `mass_g`"),
         (&["fly", "hover", "--vehicle", "gone.toml"], "--vehicle = gone.toml: gone.toml cannot be read"),
         (&["fly", "hover", "--vehicle", "five-inhc"], "--vehicle = five-inhc: must be one of"),
@@ -367,17 +367,17 @@ fn a_vehicles_mistakes_are_those_of_its_file() {
     ] {
         let output = sim_host(arguments, directory.path());
         let error = String::from_utf8(output.stderr).unwrap();
-        assert!(output.status.code() == Some(2) && error.contains(said), "{arguments:?}: {error}");
+        assert!(output.status.code() == Some(2) && error.contains(expected), "{arguments:?}: {error}");
     }
 }
 
 #[test]
-fn config_without_a_scene_or_a_place_writes_nothing() {
+fn config_with_bad_input_writes_no_file() {
     let directory = tempfile::tempdir().unwrap();
-    for (arguments, said) in [
+    for (arguments, expected) in [
         (
             ["config", "hovr", "--out", "config.bin"],
-            "error: SCENE = hovr: no such file and no built-in scene",
+            "error: SCENE = hovr: must be a scene file or a built-in scene",
         ),
         (
             ["config", "hover", "--out", "missing/config.bin"],
@@ -387,14 +387,14 @@ fn config_without_a_scene_or_a_place_writes_nothing() {
         let output = sim_host(&arguments, directory.path());
         let error = String::from_utf8(output.stderr).unwrap();
         assert_eq!((output.status.code(), error.lines().count()), (Some(2), 1), "{error}");
-        assert!(error.starts_with(said) && output.stdout.is_empty(), "{error}");
+        assert!(error.starts_with(expected) && output.stdout.is_empty(), "{error}");
     }
     assert_eq!(sim_host(&["config", "hover"], directory.path()).status.code(), Some(2));
     assert_eq!(std::fs::read_dir(directory.path()).unwrap().count(), 0);
 }
 
 #[test]
-fn scenes_lists_effects() {
+fn scenes_lists_all_scenes_with_their_effects() {
     let scenes = json(&["scenes", "--json"]);
     let list = scenes["scenes"].as_array().unwrap();
     assert_eq!(list.len(), 14);
@@ -402,11 +402,11 @@ fn scenes_lists_effects() {
     assert_eq!(list[3]["effects"].as_array().unwrap().len(), 4);
 }
 
-/// glibc picks other code for sin, exp and so on where the processor has FMA and AVX2, with other last bits.
-/// With these paths switched off, a flight must still be the same flight.
+/// On a processor with FMA and AVX2, glibc uses other code for sin, exp and other functions, whose last bits differ. With
+/// this code switched off, a flight must have the same digest.
 #[test]
-fn the_digest_does_not_depend_on_the_processors_fma() {
-    let with_plain_maths = |tunables: &str| {
+fn digest_does_not_depend_on_the_processors_fma() {
+    let digest_with = |tunables: &str| {
         let output = Command::new(env!("CARGO_BIN_EXE_sim-host"))
             .args(["fly", "steps", "--json"])
             .env("GLIBC_TUNABLES", tunables)
@@ -415,5 +415,5 @@ fn the_digest_does_not_depend_on_the_processors_fma() {
         serde_json::from_slice::<Value>(&output.stdout).unwrap()["digest"].clone()
     };
     let off = "glibc.cpu.hwcaps=-AVX2,-AVX2_Usable,-FMA,-FMA_Usable,-FMA4,-FMA4_Usable,-AVX,-AVX_Usable";
-    assert_eq!(with_plain_maths(off), with_plain_maths(""));
+    assert_eq!(digest_with(off), digest_with(""));
 }

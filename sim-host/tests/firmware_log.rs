@@ -1,4 +1,4 @@
-//! `hil --firmware-log`: the firmware's log on QEMU, decoded, with the time in the flight.
+//! `hil --firmware-log` on QEMU: the firmware's log, decoded, with the time of the flight.
 #![cfg(feature = "firmware-log")]
 
 use std::process::{Command, Output};
@@ -18,12 +18,12 @@ fn hover(further: &[&str]) -> (Value, String) {
 
 #[test]
 #[ignore = "needs qemu-system-arm, and builds the firmware"]
-fn the_log_has_every_second_of_the_flight_and_does_not_change_it() {
+fn log_covers_the_flight_and_does_not_change_it() {
     let (flown, log) = hover(&["--firmware-log"]);
-    let (without, nothing) = hover(&[]);
-    assert_eq!(nothing, "");
-    for what in ["digest", "instructions_max", "instructions_mean", "image_sha256"] {
-        assert_eq!(flown[what], without[what], "{what}");
+    let (without, empty) = hover(&[]);
+    assert_eq!(empty, "");
+    for key in ["digest", "instructions_max", "instructions_mean", "image_sha256"] {
+        assert_eq!(flown[key], without[key], "{key}");
     }
 
     // Time in seconds, level, message.
@@ -39,11 +39,11 @@ fn the_log_has_every_second_of_the_flight_and_does_not_change_it() {
     let (time, level, message) = lines[0];
     assert_eq!((time, level), (0.0, "info"), "{log}");
     assert!(message.starts_with("kestrel ") && message.ends_with("on QEMU netduinoplus2, reset by power"));
-    // The health line, once a second, at the start too.
+    // The health line is logged once a second, also at the start.
     assert_eq!(lines.iter().filter(|(.., message)| message.starts_with("imu lost 0 ")).count(), 14, "{log}");
     let at = |wanted: &str| lines.iter().find(|(.., message)| *message == wanted).map(|&(time, ..)| time);
-    // The pilot of the scene asks for it after 4 s, and the checks take half a second.
-    let (arming, armed) = (at("Disarmed -> Arming: by the pilot"), at("Arming -> Armed: checked"));
+    // The gesture of the pilot is complete after 4 s, and the checks take 0.5 s.
+    let (arming, armed) = (at("Disarmed -> Arming: by the pilot"), at("Arming -> Armed: checks passed"));
     assert_eq!(arming.map(|time| (time * 1e3).round()), Some(4_001.0), "{log}");
     assert_eq!(armed.map(|time| (time * 1e3).round()), Some(4_501.0), "{log}");
 }

@@ -1,51 +1,52 @@
-//! From a record in a board's flash to what the flight controller is built from.
+//! Reading of a record in a board's flash for the flight controller of that board.
 //!
-//! The vehicle's configuration and its sensors' calibration are stored; what is soldered to the board is not. A record
-//! is taken whole or not at all: part of one would be a vehicle that nobody has set up.
+//! A record holds the vehicle's configuration and the sensors' calibration. The board's own properties, such as the
+//! mounting of its inertial sensor, are not from the record. A record is used as a whole or not at all: a part of it would
+//! be the configuration of a vehicle that does not exist.
 
 use flight_core::{Config, FlightController, Params};
 
 use crate::{DecodeError, decode};
 
-/// Sensitivities this close to the board's, as a share, are the same: a host computes them in f64.
+/// Maximum difference of equal sensitivities, as a share of the board's: the host computes them in f64.
 const SAME_SENSITIVITY: f32 = 1.0e-3;
 
-/// Why a record is not used.
+/// The reason why a record is not used.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Refused {
-    /// There is none, or it is damaged.
+    /// The record is missing or invalid.
     Record(DecodeError),
     /// This field is out of range.
     OutOfRange(&'static str),
-    /// This field is not what the board has.
-    NotTheBoards(&'static str),
+    /// This field differs from the board's value.
+    WrongBoard(&'static str),
 }
 
 impl Refused {
-    /// What is wrong, and with which field.
+    /// Returns the error and the field, for a log.
     pub const fn text(self) -> (&'static str, &'static str) {
         match self {
             Self::Record(error) => (error.name(), ""),
             Self::OutOfRange(field) => ("out of range: ", field),
-            Self::NotTheBoards(field) => ("not this board's: ", field),
+            Self::WrongBoard(field) => ("for another board: ", field),
         }
     }
 }
 
-/// The configuration of the record at the beginning of `bytes`, for a board with the rate, the sensitivities and the
-/// mounting of `board`.
+/// Returns the configuration of the record at the beginning of `bytes`, for a board with the rate, the sensitivities and
+/// the mounting of `board`.
 ///
-/// The record says how the board lies in the vehicle, and how the magnetometer does, which is not soldered to the board; the
-/// inertial sensor's mounting on the board is the board's. The sensors' rate and sensitivities are what the drivers set the
-/// chips to, and a record for others is refused: its gains and its calibration belong to another board.
+/// The record gives the mounting of the board in the vehicle, and that of the magnetometer, which is not on the board. The
+/// mounting of the inertial sensor on the board is from `board`. The drivers set the sensors' rate and sensitivities. A
+/// record with other values is refused, because its gains and calibration belong to another board.
 ///
 /// # Errors
-/// The record is not whole, or not for this board, or no flight controller can be built from it.
+/// The record is invalid, is for another board, or the flight controller rejects it.
 pub fn read_for_board(bytes: &[u8], board: &Params) -> Result<Config, Refused> {
     let mut config = decode(bytes).map_err(Refused::Record)?;
     let params = &mut config.params;
     if params.imu_rate_hz != board.imu_rate_hz {
-        return Err(Refused::NotTheBoards("imu_rate_hz"));
+        return Err(Refused::WrongBoard("imu_rate_hz"));
     }
     for (field, stored, ours) in [
         ("gyro.per_count", params.gyro.per_count, board.gyro.per_count),
@@ -53,9 +54,9 @@ pub fn read_for_board(bytes: &[u8], board: &Params) -> Result<Config, Refused> {
         ("mag.per_count", params.mag.per_count, board.mag.per_count),
     ] {
         let share = stored / ours - 1.0;
-        // A NaN is within nothing.
+        // A range check, because a NaN fails it.
         if !(-SAME_SENSITIVITY..=SAME_SENSITIVITY).contains(&share) {
-            return Err(Refused::NotTheBoards(field));
+            return Err(Refused::WrongBoard(field));
         }
     }
     params.gyro.mounting = params.gyro.mounting * board.gyro.mounting;

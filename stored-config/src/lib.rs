@@ -1,22 +1,22 @@
-//! A configuration as a record in flash.
+//! The encoding of a configuration as a record in flash.
 //!
 //! `sim-host config` writes the record to a file, a debug probe writes the file to the board's parameter sectors, and
 //! the board reads it at start.
 //!
-//! | bytes | what |
+//! | bytes | content |
 //! |---|---|
 //! | 4 | [`MAGIC`] |
 //! | 2 | [`VERSION`], little-endian |
 //! | 2 | length of the configuration, little-endian |
 //! | … | [`Config`], encoded by [postcard](https://postcard.jamesmunns.com/wire-format) |
-//! | 4 | CRC-32 (ISO-HDLC, as in Ethernet) of all before, little-endian |
+//! | 4 | CRC-32 (ISO-HDLC, as in Ethernet) of all bytes before it, little-endian |
 //!
-//! Whatever stands behind the record is ignored. Magic, version, length and CRC keep their places in every version, so
-//! that a record of another version is named as such, and is not taken for a damaged one.
+//! Bytes after the record are ignored. Magic, version, length and CRC have the same positions in every version, so that
+//! the error for a record of another version is not that for a damaged record.
 //!
-//! The CRC finds every error of up to three bits in records of this size, and all but one in 2³² of others.
-//! [`decode`] says that the record is the one that was encoded. It does not check ranges: the flight controller does,
-//! when it is built ([`flight_core::FlightController::new`]).
+//! The CRC detects all errors of up to three bits in records of this size; it misses one in 2³² of other errors.
+//! [`decode`] checks that the record is the encoded one. It does not check ranges: the flight controller checks them when
+//! it is built ([`flight_core::FlightController::new`]).
 #![no_std]
 #![forbid(unsafe_code)]
 #![warn(missing_docs)]
@@ -28,25 +28,25 @@ use core::fmt;
 use crc::{CRC_32_ISO_HDLC, Crc, Table};
 use flight_core::Config;
 
-/// The first bytes of a record: "Kestrel configuration".
+/// First bytes of a record: "Kestrel configuration".
 pub const MAGIC: [u8; 4] = *b"KSTC";
 
-/// Version of what [`Config`] consists of. A field that is added, removed or moved needs the next number: postcard
-/// has no names, and would take one field for another.
+/// Version of the fields of [`Config`]. Increment it when a field is added, removed or moved: postcard stores no names
+/// and would decode one field as another.
 pub const VERSION: u16 = 2;
 
-/// The longest record, bytes.
+/// Maximum length of a record, bytes.
 pub const MAX_RECORD: usize = 1024;
 
-/// Magic, version, length.
+/// Length of magic (4), version (2) and length (2), bytes.
 const HEADER: usize = 8;
-/// CRC.
+/// Length of the CRC, bytes.
 const TRAILER: usize = 4;
 
-/// What erased flash reads.
+/// Value of erased flash.
 const ERASED: u8 = 0xff;
 
-/// Sixteen entries of table: a fourth of the speed of 256, and a sixteenth of their flash.
+/// The CRC with a table of 16 entries: a fourth of the speed of a table with 256 entries, and a sixteenth of its flash.
 const CRC: Crc<u32, Table<1>> = Crc::<u32, Table<1>>::new(&CRC_32_ISO_HDLC);
 
 /// The record does not fit into the buffer, or into [`MAX_RECORD`].
@@ -55,41 +55,41 @@ pub struct EncodeError;
 
 impl fmt::Display for EncodeError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("the configuration is longer than its record can be")
+        f.write_str("the configuration does not fit into a record")
     }
 }
 
 impl core::error::Error for EncodeError {}
 
-/// Why bytes are no record of this version.
+/// The reason why bytes are not a record of this version.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum DecodeError {
-    /// Erased flash: nothing was ever stored.
+    /// Erased flash: no record is stored.
     Empty,
-    /// The bytes do not begin as a record does.
+    /// The bytes do not begin with [`MAGIC`].
     Magic,
-    /// The bytes end before the record does.
+    /// The bytes end before the end of the record.
     Truncated,
-    /// The record says that it is longer than one can be.
+    /// The length field is above the maximum.
     Length,
-    /// The checksum is another.
+    /// The checksum is wrong.
     Checksum,
-    /// The record is whole, and of this version.
+    /// The record is valid, but has this other version.
     Version(u16),
-    /// The record is whole and of this version, and what it holds is no configuration.
+    /// The record has the right version and checksum, but its content is not a configuration.
     Content,
 }
 
 impl DecodeError {
-    /// For people, in a few words.
+    /// Returns a short text for logs.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Empty => "nothing is stored",
             Self::Magic => "not a record",
-            Self::Truncated => "cut short",
-            Self::Length => "longer than a record can be",
+            Self::Truncated => "truncated",
+            Self::Length => "length above the maximum",
             Self::Checksum => "wrong checksum",
-            Self::Version(_) => "of another version",
+            Self::Version(_) => "another version",
             Self::Content => "not a configuration",
         }
     }
@@ -98,7 +98,7 @@ impl DecodeError {
 impl fmt::Display for DecodeError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Version(version) => write!(f, "of version {version}, and this is {VERSION}"),
+            Self::Version(version) => write!(f, "version {version}, must be {VERSION}"),
             _ => f.write_str(self.name()),
         }
     }
@@ -106,11 +106,11 @@ impl fmt::Display for DecodeError {
 
 impl core::error::Error for DecodeError {}
 
-/// Writes the record of `config` to the beginning of `record`, and returns that part. [`MAX_RECORD`] bytes are room
-/// enough.
+/// Writes the record of `config` to the beginning of `record`, and returns the written part. A buffer of [`MAX_RECORD`]
+/// bytes is large enough.
 ///
 /// # Errors
-/// There is not room enough.
+/// The buffer is too small.
 pub fn encode<'a>(config: &Config, record: &'a mut [u8]) -> Result<&'a [u8], EncodeError> {
     let room = record.len().min(MAX_RECORD).checked_sub(HEADER + TRAILER).ok_or(EncodeError)?;
     let content = record.get_mut(HEADER..HEADER + room).ok_or(EncodeError)?;
@@ -126,10 +126,10 @@ pub fn encode<'a>(config: &Config, record: &'a mut [u8]) -> Result<&'a [u8], Enc
     Ok(&record[..end + TRAILER])
 }
 
-/// Reads the record at the beginning of `bytes`.
+/// Decodes the record at the beginning of `bytes`.
 ///
 /// # Errors
-/// There is none, or it is not whole, or not of this version.
+/// The record is missing, damaged, or has another version.
 pub fn decode(bytes: &[u8]) -> Result<Config, DecodeError> {
     let Some((header, rest)) = bytes.split_first_chunk::<HEADER>() else {
         return Err(DecodeError::Truncated);

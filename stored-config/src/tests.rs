@@ -17,7 +17,7 @@ fn calibrated() -> Config {
     Config { params: Params::default(), calibration: Some(Calibration::NONE) }
 }
 
-/// A record around any content, of any version.
+/// Returns a record with a right checksum around any content, of any version.
 fn sealed(version: u16, content: &[u8]) -> Vec<u8> {
     let length = (content.len() as u16).to_le_bytes();
     let mut record = [&MAGIC[..], &version.to_le_bytes(), &length, content].concat();
@@ -27,11 +27,11 @@ fn sealed(version: u16, content: &[u8]) -> Vec<u8> {
 }
 
 #[test]
-fn a_configuration_comes_out_as_it_went_in() {
+fn configuration_survives_encoding_and_decoding() {
     for config in [calibrated(), Config { calibration: None, ..calibrated() }] {
         let mut bytes = record(&config);
         assert_eq!(decode(&bytes), Ok(config));
-        // As it lies in flash, or in memory that something else was in.
+        // Followed by erased flash, or by other data.
         bytes.resize(16 * 1024, ERASED);
         assert_eq!(decode(&bytes), Ok(config));
         bytes[MAX_RECORD..].fill(0x5a);
@@ -40,7 +40,7 @@ fn a_configuration_comes_out_as_it_went_in() {
 }
 
 proptest! {
-    /// Numbers keep their bits, also those that no flight controller takes.
+    /// This includes numbers that the flight controller rejects.
     #[test]
     fn numbers_keep_their_bits(bias in prop::array::uniform3(ANY), throttle in ANY, cutoff in prop::option::of(ANY)) {
         let mut config = calibrated();
@@ -57,14 +57,14 @@ proptest! {
     }
 
     #[test]
-    fn any_bytes_are_decoded_or_refused(bytes in prop::collection::vec(any::<u8>(), 0..1_200)) {
-        // A record by chance is less likely than one in 2⁶⁴.
+    fn random_bytes_are_refused(bytes in prop::collection::vec(any::<u8>(), 0..1_200)) {
+        // The probability of a record is below 2⁻⁶⁴.
         prop_assert!(decode(&bytes).is_err());
     }
 
-    /// Bytes that get past the checksum.
+    /// The checksum is right, so that the content reaches the decoder.
     #[test]
-    fn any_sealed_content_is_decoded_or_refused(
+    fn any_content_with_right_checksum_is_decoded_or_refused(
         content in prop::collection::vec(any::<u8>(), 0..600), version in prop_oneof![Just(VERSION), any::<u16>()],
         changes in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 0..4),
         like_a_record: bool,
@@ -87,7 +87,7 @@ proptest! {
     }
 
     #[test]
-    fn a_buffer_of_any_length_takes_the_record_or_refuses(length in 0..MAX_RECORD + 10) {
+    fn encoding_fails_only_if_the_buffer_is_too_small(length in 0..MAX_RECORD + 10) {
         let whole = record(&calibrated());
         let mut buffer = std::vec![0; length];
         let encoded = encode(&calibrated(), &mut buffer).map(<[u8]>::to_vec);
@@ -96,17 +96,17 @@ proptest! {
 }
 
 #[test]
-fn a_record_that_is_cut_anywhere_is_refused() {
+fn truncated_record_is_refused() {
     let whole = record(&calibrated());
     for length in 0..whole.len() {
         assert_eq!(decode(&whole[..length]), Err(DecodeError::Truncated), "{length}");
-        // The rest of the flash was never written.
+        // The rest of the flash is erased.
         let mut cut = whole[..length].to_vec();
         cut.resize(MAX_RECORD, ERASED);
         let expected = match length {
             0 => DecodeError::Empty,
             1..4 => DecodeError::Magic,
-            // A length of 0xffff, or one whose lower byte is right.
+            // A length of 0xffff, or a right lower byte with an upper byte of 0xff.
             4..8 => DecodeError::Length,
             _ => DecodeError::Checksum,
         };
@@ -115,7 +115,7 @@ fn a_record_that_is_cut_anywhere_is_refused() {
 }
 
 #[test]
-fn any_single_bit_that_flips_is_refused() {
+fn record_with_one_flipped_bit_is_refused() {
     let whole = record(&calibrated());
     for bit in 0..8 * whole.len() {
         let mut flipped = whole.clone();
@@ -132,7 +132,7 @@ fn any_single_bit_that_flips_is_refused() {
 }
 
 #[test]
-fn what_is_no_record_is_refused_by_name() {
+fn errors_name_the_defect_of_a_record() {
     let whole = record(&calibrated());
     let content = &whole[HEADER..whole.len() - TRAILER];
     let longer = [content, &[0]].concat();
@@ -143,10 +143,10 @@ fn what_is_no_record_is_refused_by_name() {
     for (bytes, error, name) in [
         (std::vec![ERASED; MAX_RECORD], DecodeError::Empty, "nothing is stored"),
         (std::vec![0; MAX_RECORD], DecodeError::Magic, "not a record"),
-        (std::vec![], DecodeError::Truncated, "cut short"),
-        (too_long, DecodeError::Length, "longer than a record can be"),
-        (sealed(3, content), DecodeError::Version(3), "of version 3, and this is 2"),
-        (sealed(0, &[]), DecodeError::Version(0), "of version 0, and this is 2"),
+        (std::vec![], DecodeError::Truncated, "truncated"),
+        (too_long, DecodeError::Length, "length above the maximum"),
+        (sealed(3, content), DecodeError::Version(3), "version 3, must be 2"),
+        (sealed(0, &[]), DecodeError::Version(0), "version 0, must be 2"),
         (sealed(2, &[]), DecodeError::Content, "not a configuration"),
         (sealed(2, &longer), DecodeError::Content, "not a configuration"),
         (sealed(2, shorter), DecodeError::Content, "not a configuration"),
@@ -155,10 +155,10 @@ fn what_is_no_record_is_refused_by_name() {
         assert_eq!(format!("{error}"), name);
     }
     assert_eq!(decode(&sealed(VERSION, content)), Ok(calibrated()));
-    assert_eq!(DecodeError::Version(2).name(), "of another version");
+    assert_eq!(DecodeError::Version(2).name(), "another version");
 }
 
-/// What stands in a record, in order, without its values. When this changes, [`VERSION`] must.
+/// Names of the fields of a record, in order. A change requires a new [`VERSION`].
 const FIELDS_OF_VERSION_2: &str = "\
     params imu_rate_hz mag_rate_hz gyro per_count mounting rows x y z x y z x y z accel per_count \
     mounting rows x y z x y z x y z mag per_count mounting rows x y z x y z x y z \
@@ -171,8 +171,8 @@ const FIELDS_OF_VERSION_2: &str = "\
     bias x y z matrix rows x y z x y z x y z mag bias x y z matrix rows x y z x y z x y z";
 
 #[test]
-fn a_version_has_its_fields() {
-    // The names before the colons of the debug format: derived, as the encoding is, in the order of declaration.
+fn changed_fields_require_a_new_version() {
+    // The names before the colons of the debug format, which is derived in the order of declaration, like the encoding.
     let text = format!("{:?}", calibrated());
     let names: Vec<&str> = text
         .split(':')
@@ -184,7 +184,6 @@ fn a_version_has_its_fields() {
         fields += name;
         fields.push(' ');
     }
-    assert_eq!(fields.trim_end(), FIELDS_OF_VERSION_2, "another layout: another VERSION");
-    // And their sizes.
-    assert_eq!(record(&calibrated()).len(), 455, "another size: another VERSION");
+    assert_eq!(fields.trim_end(), FIELDS_OF_VERSION_2, "changed fields require a new VERSION");
+    assert_eq!(record(&calibrated()).len(), 455, "a changed size requires a new VERSION");
 }

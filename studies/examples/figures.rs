@@ -1,11 +1,11 @@
-//! Makes the pictures of the documentation anew, from flights:
+//! Makes the figures of the documentation again, from flights:
 //!
 //! ```text
 //! cargo run --release -p studies --example figures [DIRECTORY]
 //! ```
 //!
-//! They go to `docs/img`, or to the directory given. The same program makes the same bytes. The comparison of
-//! estimators needs recordings (environment variable `KESTREL_DATA`), and is left as it is without them.
+//! They are written to `docs/img`, or to the given directory. The same program writes the same bytes. The comparison of
+//! estimators needs recordings (environment variable `KESTREL_DATA`); without them its file is not changed.
 
 use std::error::Error;
 use std::io::Write as _;
@@ -19,7 +19,7 @@ use sim_host::report::{Channel, Recorder};
 use sim_host::scene::{BUILT_IN, Scene};
 use studies::cost::{self, Axis, Options};
 
-/// Fits the width of a README, px.
+/// Width of a chart, px; it fits a README.
 const WIDTH: f64 = 900.0;
 
 fn main() -> Result<(), Box<dyn Error>> {
@@ -44,7 +44,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-/// The plots of `docs/accuracy.md`: against costs that are the same on every machine.
+/// Returns the plots of `docs/accuracy.md`, against costs that are the same on every machine.
 fn costs() -> Result<Vec<(&'static str, Chart)>, Box<dyn Error>> {
     let recordings = std::env::var_os("KESTREL_DATA").map(PathBuf::from);
     let options = Options { quick: false, timed: false, recordings };
@@ -82,7 +82,7 @@ fn costs() -> Result<Vec<(&'static str, Chart)>, Box<dyn Error>> {
             ),
         ));
     } else {
-        println!("no recordings (KESTREL_DATA): cost-estimator.svg is left as it is");
+        println!("no recordings (KESTREL_DATA): cost-estimator.svg is not changed");
     }
     let mut charts = Vec::new();
     for (file, study, axis, problem, (title, note)) in pictures {
@@ -100,7 +100,7 @@ fn fly(scene: &Scene) -> (Outcome, Recorder) {
     (outcome, recorder)
 }
 
-/// The README's picture: take-off, hold and landing, in three strips.
+/// Returns the README's figure: take-off, hover and landing, in three panels.
 fn hover() -> Result<Chart, Box<dyn Error>> {
     let scene = Scene::load("hover")?;
     let (outcome, recorder) = fly(&scene);
@@ -112,7 +112,7 @@ fn hover() -> Result<Chart, Box<dyn Error>> {
         line(&recorder, Channel::HeadingError, "heading", Stroke::solid(colour::BLUE, 1.4)),
         line(&recorder, Channel::InclinationError, "inclination", Stroke::solid(colour::VERMILLION, 1.4)),
     ];
-    // Each narrower than the one below it: in a hover the four are nearly the same.
+    // Each line is narrower than the one below it, because in a hover the four are nearly equal.
     let strokes = [(colour::SKY, 5.8), (colour::ORANGE, 4.0), (colour::BLUE, 2.2), (colour::BLACK, 0.8)];
     let motors = strokes.into_iter().enumerate().map(|(k, (colour, width))| {
         line(&recorder, Channel::Pulse(k), &format!("rotor {}", k + 1), Stroke::solid(colour, width))
@@ -133,9 +133,9 @@ fn hover() -> Result<Chart, Box<dyn Error>> {
             (0.0, scene.duration_s),
             vec![
                 Panel::new("Height", "m", 90.0, height),
-                Panel { covers: vec![0.0, 1.0], ..Panel::new("Attitude error", "°", 42.0, error) },
+                Panel { includes: vec![0.0, 1.0], ..Panel::new("Attitude error", "°", 42.0, error) },
                 Panel {
-                    covers: vec![1000.0, 2000.0],
+                    includes: vec![1000.0, 2000.0],
                     ..Panel::new("ESC pulses", "µs", 54.0, motors.collect())
                 },
             ],
@@ -143,8 +143,8 @@ fn hover() -> Result<Chart, Box<dyn Error>> {
     })
 }
 
-/// Why a filter made for a bench cannot fly: true and estimated tilt in the scene `steps`, with the
-/// estimator `flight` and with `paper`.
+/// Returns the figure that shows why a filter for the bench cannot fly: true and estimated tilt in the scene `steps`,
+/// with the estimator `flight` and with `paper`.
 fn paper_cannot_fly() -> Result<Chart, Box<dyn Error>> {
     let steps = BUILT_IN.iter().find(|scene| scene.name == "steps").ok_or("no scene named steps")?;
     let flown = |estimator: &str| {
@@ -159,7 +159,7 @@ fn paper_cannot_fly() -> Result<Chart, Box<dyn Error>> {
             line(recorder, Channel::TiltTruth, truth, TRUTH),
             line(recorder, Channel::TiltEstimate, estimate, ESTIMATE),
         ];
-        Panel { covers: vec![0.0, 90.0], ..Panel::new(title, "°", 116.0, lines) }
+        Panel { includes: vec![0.0, 90.0], ..Panel::new(title, "°", 116.0, lines) }
     };
     let mark = |time_s: f64, label: &str, colour| Mark { time_s, label: label.into(), colour };
     Ok(Chart {

@@ -1,4 +1,4 @@
-//! The command `cost`: what accuracy costs in time.
+//! The command `cost`: error against cost of the parts of Kestrel.
 
 use std::path::PathBuf;
 
@@ -12,27 +12,27 @@ use super::RECORDINGS;
 
 #[derive(clap::Args)]
 pub struct CostArguments {
-    /// Which studies: integrator, attitude, estimator, prefilter, arithmetic, rates, sensors; all without this.
-    /// `estimator` also takes recordings from the directory that the environment variable KESTREL_DATA names
+    /// Studies to run: integrator, attitude, estimator, prefilter, arithmetic, rates, sensors [default: all].
+    /// `estimator` also uses the recordings in the directory that the environment variable KESTREL_DATA names
     #[arg(value_name = "STUDY")]
     studies: Vec<String>,
-    /// Fewer settings, seeds and repetitions: under a minute
+    /// Run fewer settings, seeds and repetitions: less than a minute in all
     #[arg(long)]
     quick: bool,
-    /// Write a page with plots, readable in any browser without a network
+    /// Write a report with plots: one HTML file that needs no network
     #[arg(long, value_name = "F.html")]
     report: Option<PathBuf>,
-    /// Write STUDY.csv, the same in every run, and STUDY-timing.csv into this directory
+    /// Write STUDY.csv, which is the same in every run, and STUDY-timing.csv into this directory
     #[arg(long, value_name = "DIR")]
     csv: Option<PathBuf>,
 }
 
 pub fn run(arguments: &CostArguments) -> Result<Answer, InputError> {
-    // What can be wrong is found before minutes of work.
+    // Errors in the arguments are found before minutes of work.
     cost::check_names(&arguments.studies)?;
     if let Some(directory) = &arguments.csv {
         std::fs::create_dir_all(directory).map_err(|error| {
-            InputError::new(format!("cannot be made: {error}")).file(directory).field("--csv")
+            InputError::new(format!("cannot be created: {error}")).file(directory).field("--csv")
         })?;
     }
     let report = arguments.report.as_ref().map(OutputFile::create).transpose()?;

@@ -1,4 +1,4 @@
-//! `studies`: the commands `cost` and `paper` of `sim-host`, which runs this program for them.
+//! `studies`: the program that `sim-host` runs for its commands `cost` and `paper`.
 
 mod cost_command;
 mod paper_command;
@@ -9,14 +9,25 @@ use clap::{Parser, Subcommand};
 use sim_host::command::conclude;
 use sim_host::interrupt;
 
-/// Where recordings are looked for: the directory that the tests take theirs from.
+/// The environment variable that names the directory of recordings, the same as for the tests.
 const RECORDINGS: &str = "KESTREL_DATA";
 
+/// Examples at the end of the program's help.
+const EXAMPLES: &str = "\
+Example:
+  sim-host cost estimator --quick
+  sim-host paper --out paper";
+
 #[derive(Parser)]
-#[command(name = "studies", version, about = "What accuracy costs in time, and the paper made again")]
-#[command(arg_required_else_help = true)]
+#[command(
+    name = "studies",
+    bin_name = "sim-host",
+    version,
+    about = "The commands cost and paper of sim-host"
+)]
+#[command(arg_required_else_help = true, after_help = EXAMPLES)]
 struct Arguments {
-    /// Print one JSON object on standard output and nothing else there
+    /// Print the result as one JSON object on standard output, and nothing else there
     #[arg(long, global = true)]
     json: bool,
     #[command(subcommand)]
@@ -25,15 +36,22 @@ struct Arguments {
 
 #[derive(Subcommand)]
 enum Command {
-    /// Show what accuracy costs in time: error against cost, over the settings of each part
+    /// Compare the error and the computing time of the settings of each part
+    #[command(after_help = "\
+Example:
+  sim-host cost estimator --quick
+  sim-host cost integrator prefilter --quick --report cost.html")]
     Cost(cost_command::CostArguments),
-    /// Make the paper's tables and figures again, on one page with the numbers beside it
+    /// Reproduce the tables and figures of the paper, on one page with CSV files beside it
+    #[command(after_help = "\
+Example:
+  sim-host paper --out paper")]
     Paper(paper_command::PaperArguments),
 }
 
 fn main() -> ExitCode {
     let arguments = Arguments::parse();
-    interrupt::listen();
+    interrupt::install_handler();
     let answer = match &arguments.command {
         Command::Cost(a) => cost_command::run(a),
         Command::Paper(a) => paper_command::run(a),

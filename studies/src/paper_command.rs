@@ -1,4 +1,4 @@
-//! The command `paper`: its tables and figures, made again.
+//! The command `paper`: reproduces the paper's tables and figures.
 
 use std::fmt::Write as _;
 use std::path::PathBuf;
@@ -13,8 +13,8 @@ use super::RECORDINGS;
 
 #[derive(clap::Args)]
 pub struct PaperArguments {
-    /// Directory for the page and the files beside it; made if it is not there. Figures 10 to 15 take
-    /// recordings from the directory that the environment variable KESTREL_DATA names
+    /// Directory for the page and its CSV files; created if it does not exist. Figures 10 to 15 need the recordings
+    /// in the directory that the environment variable KESTREL_DATA names
     #[arg(long, value_name = "DIR", default_value = "paper")]
     out: PathBuf,
 }

@@ -1,8 +1,8 @@
-//! What accuracy costs, held against `studies/tests/cost_baseline.toml`: no setting loses accuracy or gains instructions
-//! unnoticed, and what Kestrel does by itself is on the Pareto front.
+//! Compares the studies with `studies/tests/cost_baseline.toml`: no setting may lose accuracy or need more instructions
+//! without a change of that file, and Kestrel's default must be on the Pareto front.
 //!
-//! The errors are computed, not timed, and are the same on every machine. To write the file anew after a
-//! change: `KESTREL_WRITE_DOCS=1 cargo test -p studies --test cost_baseline`.
+//! The errors are computed, not timed, and are the same on every machine. To write the file again after a change:
+//! `KESTREL_WRITE_DOCS=1 cargo test -p studies --test cost_baseline`.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -11,16 +11,16 @@ use std::sync::LazyLock;
 
 use studies::cost::{self, Options, Setting, Study, on_front};
 
-/// How much of its error a setting may gain. Nothing in it is random; a change of rounding moves it less.
+/// Largest allowed relative increase of an error. No error is random; a change of rounding moves it less than this.
 const ERROR: f64 = 0.02;
-/// The adaptive method chooses its steps by the C library's power function, whose last bits differ between
-/// machines, and near rounding all of its error is such bits.
+/// The adaptive method, with its relative and absolute tolerance. It chooses its steps with the C library's power
+/// function, whose last bits differ between machines; near the limit of rounding its whole error consists of such bits.
 const ADAPTIVE: (&str, f64, f64) = ("Dormand-Prince", 0.5, 1e-12);
-/// How many more instructions it may take.
+/// Largest allowed relative increase of the instructions.
 const INSTRUCTIONS: f64 = 0.05;
 
 static STUDIES: LazyLock<Vec<Study>> = LazyLock::new(|| {
-    // Without recordings, which not every machine has.
+    // Without recordings, because not every machine has them.
     let options = Options { quick: true, timed: false, recordings: None };
     cost::run(&[], &options, &|_, _| ()).unwrap_or_else(|error| panic!("{error}"))
 });
@@ -49,7 +49,7 @@ fn number(value: f64) -> String {
 fn text(baseline: &Baseline) -> String {
     let mut text = String::from(
         "# Errors of the settings that `sim-host cost --quick` compares, and their instructions on the Cortex-M4F.\n\
-         # Written by a test, which says how: studies/tests/cost_baseline.rs.\n",
+         # Written by the test in studies/tests/cost_baseline.rs, which documents the command.\n",
     );
     for (study, settings) in baseline {
         writeln!(text, "\n[{study}]").unwrap();
@@ -83,13 +83,13 @@ fn no_setting_loses_accuracy_or_gains_instructions() {
             for (figure, share, slack) in [("error", share, slack), ("m4_instructions", INSTRUCTIONS, 0.0)] {
                 match (now.get(figure), then.get(figure)) {
                     (Some(now), Some(then)) if *now > then * (1.0 + share) + slack => {
-                        worse.push(format!("{study}: {setting}: {figure} {now:e}, and was {then:e}"));
+                        worse.push(format!("{study}: {setting}: {figure} {now:e}, was {then:e}"));
                     }
                     (Some(now), Some(then)) if *now < then * (1.0 - share) - slack => {
                         println!("{study}: {setting}: {figure} {now:e} is better than the file's {then:e}");
                     }
                     (Some(_), None) | (None, Some(_)) => {
-                        worse.push(format!("{study}: {setting}: {figure} {:?}, and was {:?}", now, then));
+                        worse.push(format!("{study}: {setting}: {figure} {:?}, was {:?}", now, then));
                     }
                     _ => {}
                 }
@@ -98,13 +98,13 @@ fn no_setting_loses_accuracy_or_gains_instructions() {
         worse.extend(of_study.into_keys().map(|setting| format!("{study}: {setting} is no longer measured")));
     }
     assert!(committed.is_empty(), "no such studies: {:?}", committed.keys());
-    assert!(worse.is_empty(), "KESTREL_WRITE_DOCS=1 writes them down:\n{}", worse.join("\n"));
+    assert!(worse.is_empty(), "worse than the file; KESTREL_WRITE_DOCS=1 updates it:\n{}", worse.join("\n"));
 }
 
-/// What Kestrel does unless told otherwise is beaten by no other setting in error and cost, of the problems
-/// that decided it. `docs/accuracy.md` says where else it is, and why.
+/// No other setting beats Kestrel's default in error and cost, for the problems on which the default was chosen.
+/// `docs/accuracy.md` describes the other cases.
 #[test]
-fn the_default_is_on_the_front() {
+fn default_setting_is_on_the_front() {
     let study = |name: &str| STUDIES.iter().find(|study| study.name == name).expect("there is this study");
     let check = |name: &str, problem: &str, cost: fn(&Setting) -> Option<f64>, fits: fn(&Setting) -> bool| {
         let of: Vec<Setting> = study(name).of(problem).filter(|s| fits(s)).cloned().collect();
@@ -115,14 +115,14 @@ fn the_default_is_on_the_front() {
     };
     let everything = |_: &Setting| true;
     let instructions = |s: &Setting| s.m4_instructions;
-    // Work of an integrator without a clock: evaluations of the accelerations, and the Lie group's exponentials,
-    // four a step, counted like them.
+    // A cost of the integrator that needs no clock: evaluations of the accelerations. The Lie group's exponentials,
+    // four a step, count like evaluations.
     let evaluations = |s: &Setting| {
         let lie = if s.series.starts_with("RKMK4") { 2.0 } else { 1.0 };
         s.figure("evaluations").map(|evaluations| evaluations * lie)
     };
     check("integrator", "flight of the scene steps", evaluations, everything);
-    // The controller takes an attitude a thousand times a second.
+    // The controller needs an attitude a thousand times a second.
     let often = |s: &Setting| s.figure("attitude_hz").is_some_and(|rate| rate >= 1000.0);
     check("attitude", "coning, 1° at 20 Hz", instructions, often);
     check("attitude", "tumbling top", instructions, often);

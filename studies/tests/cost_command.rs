@@ -1,4 +1,4 @@
-//! The command `cost` as a person or a script meets it.
+//! The command `cost`: its output, its files and its errors.
 
 use std::path::Path;
 use std::process::{Command, Output};
@@ -16,7 +16,7 @@ fn cost(arguments: &[&str], directory: &Path) -> Output {
 }
 
 #[test]
-fn the_json_has_the_keys_that_others_rely_on() {
+fn json_has_the_documented_keys() {
     let output = cost(&["arithmetic", "prefilter", "--quick", "--json"], Path::new("."));
     assert_eq!(output.status.code(), Some(0), "{output:?}");
     let json: Value = serde_json::from_slice(&output.stdout).unwrap();
@@ -33,7 +33,7 @@ fn the_json_has_the_keys_that_others_rely_on() {
 }
 
 #[test]
-fn files_appear_and_what_is_no_time_is_the_same_twice() {
+fn files_are_written_and_untimed_ones_are_reproducible() {
     let directory = tempfile::tempdir().unwrap();
     let mut texts = Vec::new();
     for run in ["a", "b"] {
@@ -50,9 +50,9 @@ fn files_appear_and_what_is_no_time_is_the_same_twice() {
 }
 
 #[test]
-fn bad_input_is_found_before_the_work_and_leaves_nothing() {
+fn bad_input_is_refused_before_any_file_is_written() {
     let directory = tempfile::tempdir().unwrap();
-    for (arguments, said) in [
+    for (arguments, expected) in [
         (
             vec!["integrators", "--csv", "x"],
             "STUDY = integrators: must be one of integrator, attitude, estimator, \
@@ -63,13 +63,13 @@ fn bad_input_is_found_before_the_work_and_leaves_nothing() {
         let output = cost(&arguments, directory.path());
         assert_eq!(output.status.code(), Some(2), "{output:?}");
         let error = String::from_utf8(output.stderr).unwrap();
-        assert!(error.starts_with(&format!("error: {said}")), "{error}");
+        assert!(error.starts_with(&format!("error: {expected}")), "{error}");
         assert_eq!(std::fs::read_dir(directory.path()).unwrap().count(), 0);
     }
 }
 
 #[test]
-fn without_recordings_the_study_says_so() {
+fn missing_recordings_are_reported() {
     let output = cost(&["estimator", "--quick"], Path::new("."));
     let text = String::from_utf8(output.stdout).unwrap();
     assert!(text.contains("No recordings were given (KESTREL_DATA)"), "{text}");

@@ -1,11 +1,11 @@
-//! Counts since the last health line, one for each thing that a person may want to know of.
+//! Counters for the log's health line, counted since the last line.
 //!
-//! Every task counts without asking: each count is an atomic of its own. Two that belong together may come in two
-//! different lines, which is all right for people.
+//! Each counter is an atomic of its own, so that every task can count without a lock. Two related counts may therefore
+//! appear in different lines, which is acceptable for a log.
 
 use core::sync::atomic::{AtomicU32, Ordering};
 
-/// A count, or the largest of some values.
+/// A count, or a maximum.
 #[derive(Default)]
 pub struct Counter(AtomicU32);
 
@@ -14,67 +14,67 @@ impl Counter {
         Self(AtomicU32::new(0))
     }
 
-    /// One more.
+    /// Adds one.
     pub fn add(&self) {
         self.add_n(1);
     }
 
-    /// So many more.
+    /// Adds `more`.
     pub fn add_n(&self, more: u32) {
         self.0.fetch_add(more, Ordering::Relaxed);
     }
 
-    /// `value`, if it is the largest so far.
+    /// Keeps `value` if it is the largest since the last [`Self::take`].
     pub fn record_max(&self, value: u32) {
         self.0.fetch_max(value, Ordering::Relaxed);
     }
 
-    /// `value`, whatever came before.
+    /// Replaces the value.
     pub fn set(&self, value: u32) {
         self.0.store(value, Ordering::Relaxed);
     }
 
-    /// The value, which begins anew.
+    /// Returns the value and resets it to zero.
     pub fn take(&self) -> u32 {
         self.0.swap(0, Ordering::Relaxed)
     }
 }
 
-/// All of them.
+/// All counters.
 pub struct Counters {
-    /// Steps without an inertial sample, because none could be read.
+    /// Steps without an IMU sample, because none could be read.
     pub lost: Counter,
-    /// Reads without an edge of the data-ready line.
+    /// Bursts started without an edge of the data-ready line.
     pub polled: Counter,
-    /// Those that came while the one before was still being read or worked on.
+    /// Samples that became ready while the previous one was being read or processed.
     pub late: Counter,
-    /// Reads that brought the same sample again.
+    /// Bursts that returned the previous sample again.
     pub repeated: Counter,
-    /// Those that the sensor itself marked as no measurement.
+    /// Samples that the IMU marked as invalid.
     pub invalid: Counter,
-    /// Reads that failed on the bus.
+    /// Bursts that failed on the bus.
     pub unreadable: Counter,
-    /// Longest time from what woke `flight` to its end, µs.
+    /// Longest time from the wake-up of `control_loop` to its end, µs.
     pub longest_us: Counter,
-    /// Steps whose pulses were not sent, because the last ones were on their way.
+    /// Steps whose pulses were not sent, because the previous ones were still being sent.
     pub outputs_dropped: Counter,
-    /// Pulses that hung or were cut, so that the outputs were set up anew.
+    /// Restarts of the outputs, because a pulse or frame hung or was cut short.
     pub outputs_recovered: Counter,
     /// Magnetometer samples.
     pub mag: Counter,
-    /// Accesses to the magnetometer that failed.
+    /// Failed accesses to the magnetometer, and samples out of its range.
     pub mag_errors: Counter,
-    /// Receiver frames.
+    /// Valid receiver frames.
     pub rc: Counter,
-    /// Receiver frames that were damaged.
+    /// Damaged receiver frames.
     pub rc_bad: Counter,
-    /// Runs of `magnetometer` and `health` that were due while the one before was not done.
+    /// Runs of `magnetometer` and `health` that were due before the previous run had finished.
     pub delayed: Counter,
-    /// Battery, mV, as last measured.
+    /// Battery voltage as last measured, mV.
     pub battery_mv: Counter,
 }
 
-/// The counts.
+/// The counters of this image.
 pub static COUNTERS: Counters = Counters {
     lost: Counter::new(),
     polled: Counter::new(),

@@ -1,13 +1,13 @@
-//! Who is on time: the check-ins of the tasks that a flight needs, and the deadlines that were missed.
+//! Deadlines of the tasks: check-ins of the tasks that a flight needs, and missed deadlines.
 //!
-//! | | on the check-ins: without it the watchdog is not fed | counts for arming | logged |
+//! | task or line | checks in: if it is late, the watchdog is not fed | a miss refuses arming | a miss is logged |
 //! |---|---|---|---|
 //! | `control_loop`, `tick`, `battery` | yes | yes | yes |
 //! | the data-ready line | no | yes | yes |
 //! | `magnetometer`, `health` | no | no | yes |
 //!
-//! A flight goes on without a magnetometer and without a log. One that is late must not end it; and one that hangs must not
-//! make arming impossible for ever: it is shown in the log, and in the health line's count.
+//! A flight continues without a magnetometer and without a log. A late run of these tasks must not end the flight, and
+//! a hang must not block arming permanently. Both only appear in the log, and in the health line's count.
 
 use core::sync::atomic::{AtomicU32, Ordering};
 
@@ -17,7 +17,7 @@ use crate::clock::Clock;
 use crate::counters::COUNTERS;
 use crate::{OVERDUE_US, PERIOD_US};
 
-/// The periodic tasks.
+/// A periodic task, or the data-ready line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Task {
     /// `control_loop`.
@@ -30,20 +30,20 @@ pub enum Task {
     Magnetometer,
     /// `health`.
     Health,
-    /// No task: the inertial sensor's data-ready line.
+    /// No task: the IMU's data-ready line.
     DataReady,
 }
 
 impl Task {
-    /// Whether a flight needs it, so that nobody arms while it is late.
-    const fn is_needed(self) -> bool {
+    /// Returns whether a missed deadline of this task refuses arming: those that a flight needs.
+    const fn counts_for_arming(self) -> bool {
         match self {
             Self::Control | Self::Tick | Self::Battery | Self::DataReady => true,
             Self::Magnetometer | Self::Health => false,
         }
     }
 
-    /// For people.
+    /// Returns the name for the log.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Control => "control_loop",
@@ -56,78 +56,79 @@ impl Task {
     }
 }
 
-/// The roll, in the order of [`Task`]: the age of the last check-in at which the task is late, µs. That is its longest
-/// period, and as much again for those that are started by another task.
+/// Age of the last check-in above which a task is late, µs, in the order of [`Task`]: the task's longest period, plus
+/// one more period for tasks that another task starts.
 const ALLOWED_AGE_US: [u64; 3] = [
-    // A lost sample, and the period of those that stay lost.
+    // The step without a lost sample comes after OVERDUE_US, and further ones after PERIOD_US each.
     (OVERDUE_US + PERIOD_US) as u64,
     2 * PERIOD_US as u64,
     2 * (BATTERY_TICKS * PERIOD_US) as u64,
 ];
 
-/// Ticks (1 ms) from one run to the next.
+/// Period of the task `magnetometer`, in ticks of 1 ms.
 pub const MAGNETOMETER_TICKS: u32 = 5;
-/// Likewise; also those from one look at the check-ins to the next, which happens at the turn of `battery`.
+/// Period of the task `battery`, in ticks. `battery` also checks the check-ins and feeds the watchdog.
 pub const BATTERY_TICKS: u32 = 20;
-/// Likewise.
+/// Period of the task `health`, in ticks.
 pub const HEALTH_TICKS: u32 = 1_000;
 
-/// How long after start a task may take to its first run, µs.
+/// Time that a task may take from start to its first check-in, µs.
 const GRACE_US: u64 = 100_000;
 
-/// Deadlines missed since start, of those that count for arming. An atomic, so that a step may read it without a lock;
+/// Deadlines missed since start that count for arming. An atomic, so that a step can read it without a lock;
 /// [`DeadlineMonitor`] writes it.
 static MISSED: AtomicU32 = AtomicU32::new(0);
 
-/// Deadlines missed since start, of those that count for arming.
+/// Returns the number of deadlines missed since start that count for arming.
 pub fn missed() -> u32 {
     MISSED.load(Ordering::Relaxed)
 }
 
-/// The roll, and who was told of.
+/// Check-ins of the tasks, and the misses that the log already has.
 pub struct DeadlineMonitor {
     check_ins: CheckIns<{ ALLOWED_AGE_US.len() }>,
     clock: Clock,
-    /// Bit n: a miss of task n has been told since the last health line.
+    /// Bit n: a miss of task n has been logged since the last health line.
     reported: u32,
 }
 
 impl DeadlineMonitor {
-    /// Nobody has checked in yet; it is `now_us`.
+    /// Returns the monitor before the first check-in, started at `now_us`.
     pub fn new(now_us: u32) -> Self {
         let mut clock = Clock::new();
         Self { check_ins: CheckIns::new(ALLOWED_AGE_US, clock.at(now_us), GRACE_US), clock, reported: 0 }
     }
 
-    /// `task` ends a run at `now_us`. Returns whether a person should be told that it was late.
+    /// Records that `task` has finished a run at `now_us`. Returns whether to log a miss.
     pub fn check_in(&mut self, task: Task, deadline: Deadline, now_us: u32) -> bool {
         let now_us = self.clock.at(now_us);
         self.check_ins.check_in(task as usize, deadline, now_us);
         deadline == Deadline::Missed && self.miss(task)
     }
 
-    /// `task` was to begin a run, and has not finished the one before. Returns as [`Self::check_in`].
+    /// Records that `task` was due before its previous run had finished. Returns whether to log it: true for the first
+    /// miss of the task since the last health line.
     pub fn miss(&mut self, task: Task) -> bool {
-        if task.is_needed() {
+        if task.counts_for_arming() {
             MISSED.fetch_add(1, Ordering::Relaxed);
         } else {
             COUNTERS.delayed.add();
         }
         let bit = 1 << task as u32;
-        let tell = self.reported & bit == 0;
+        let first = self.reported & bit == 0;
         self.reported |= bit;
-        tell
+        first
     }
 
-    /// A health line has been written: misses are told again.
+    /// Starts a new health line: the next miss of each task is logged again.
     pub fn begin_report(&mut self) {
         self.reported = 0;
     }
 
-    /// Whether everybody is on time, and if not, who is late.
+    /// Checks that every task is on time, so that the watchdog may be fed.
     ///
     /// # Errors
-    /// Somebody is late.
+    /// The late tasks.
     pub fn may_feed(&mut self, now_us: u32) -> Result<(), LateTasks> {
         let now_us = self.clock.at(now_us);
         self.check_ins.may_feed(now_us)

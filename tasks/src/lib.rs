@@ -1,7 +1,7 @@
-//! What the firmware's tasks decide without touching a register: from the data-ready line to a sample ([`sampling`]), who
-//! is on time ([`deadlines`]), and the counts for the log ([`counters`]).
+//! The parts of the firmware's tasks that touch no register: from the data-ready line to a sample ([`sampling`]), the
+//! deadlines of the tasks ([`deadlines`]), and the counters for the log ([`counters`]).
 //!
-//! It is the same code on every board, and on a host, where it is tested.
+//! The code is the same on every board and on a host, where it is tested.
 #![no_std]
 #![forbid(unsafe_code)]
 #![warn(missing_docs)]
@@ -11,8 +11,9 @@ pub mod counters;
 pub mod deadlines;
 pub mod sampling;
 
-/// Time from one inertial sample to the next, µs: the rate of [`flight_core::Params::default`].
+/// Time from one IMU sample to the next, µs: the rate of [`flight_core::Params::default`].
 pub const PERIOD_US: u32 = 1_000;
 
-/// How long after a sample the next one counts as overdue, µs; after that, one step in each period.
+/// Time after a sample at which the next one is overdue, µs. From then on the control loop runs one step in each
+/// period.
 pub const OVERDUE_US: u32 = PERIOD_US + PERIOD_US / 2;

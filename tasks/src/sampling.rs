@@ -1,28 +1,28 @@
-//! From the data-ready line to a sample: what wakes the control loop, and what it finds.
+//! From the data-ready line to a sample: wake-up of the control loop, and the sample or error that it gets.
 //!
 //! ```text
-//!      0 µs    data ready       the board's interrupt notes the time, starts the burst          [`ready`]
-//!     13 µs    burst done       its end raises the vector that `flight` is bound to              [`Sampler::take`]
+//!      0 µs    data ready       the board's interrupt stores the time and starts the burst       [`ready`]
+//!     13 µs    burst done       the end of the burst raises the vector of `control_loop`         [`Sampler::next_sample`]
 //!  1,000 µs    data ready       ...
-//!  1,500 µs    no edge came     the board's timer starts the burst itself                        [`poll`]
+//!  1,500 µs    no edge came     the board's timer starts the burst                               [`poll`]
 //! ```
-//! So the line may break, or stay high or low: the sensor is then read 1,000 times a second by the board's own clock,
-//! and each of these reads is counted, and is a missed deadline, which arming is refused for.
+//! The data-ready line may break, or stay high or low. The board's own clock then reads the IMU 1,000 times a second.
+//! Each of these reads is counted as polled and as a missed deadline, so arming is refused.
 //!
-//! # Who has the bus
-//! The bus has one owner:
+//! # Owner of the bus
+//! The bus has one owner at a time:
 //!
-//! | owner | taken by | given back by |
+//! | owner | taken by | released by |
 //! |---|---|---|
-//! | nobody | | |
-//! | a burst | [`ready`], [`poll`] | [`Sampler::take`]: to nobody, or to the set-up |
-//! | the set-up | [`Sampler::take`], when the sensor must be set up ([`Recovery`]); [`claim`], at start | [`set_up_done`] |
+//! | none | | |
+//! | a burst | [`ready`], [`poll`] | [`Sampler::next_sample`]: to none, or to the set-up |
+//! | the set-up | [`Sampler::next_sample`], when the IMU needs a set-up ([`Recovery`]); [`begin_setup`], at start | [`end_setup`] |
 //!
-//! A data-ready edge that finds a burst starts nothing: the sample is late, and counted. While the set-up has the
-//! bus, edges are counted for it, and each of them, or the timer, runs a step without a sample.
+//! A data-ready edge during a burst starts no new burst: that sample is late, and is counted. During the set-up, edges
+//! are counted for the set-up, and each edge or timer deadline runs a step without a sample.
 //!
-//! Nothing that fails is replaced: the step runs without a sample, and the flight controller lets the last one
-//! age.
+//! A failed sample is never replaced: the step runs without one, and the flight controller uses the age of its last
+//! one.
 
 use core::sync::atomic::{AtomicBool, AtomicU8, AtomicU32, Ordering, fence};
 
@@ -32,54 +32,54 @@ use flight_core::sample::ImuSample;
 use crate::clock::Clock;
 use crate::counters::COUNTERS;
 
-/// A burst takes 13 µs. One that takes longer than this hangs, µs.
+/// Time after which a burst is taken as hung, µs. A burst takes 13 µs.
 const BURST_LIMIT_US: i32 = 100;
-/// So often the control loop may be woken without finishing a run; then it hangs, and the motors stop: 20 ms,
-/// long before the watchdog resets the board.
-pub const UNSERVED_LIMIT: u32 = 20;
+/// Wake-ups of the control loop without a finished run, above which the control loop is taken as hung and the motors
+/// stop: 20 periods are 20 ms, long before the watchdog resets the board.
+pub const MAX_PENDING_WAKES: u32 = 20;
 
-/// Who has the bus: one of the three that follow.
-static OWNER: AtomicU8 = AtomicU8::new(NOBODY);
-const NOBODY: u8 = 0;
-/// A burst is on its way, or its frame has not been taken.
+/// The owner of the bus: FREE, DMA or SETUP.
+static OWNER: AtomicU8 = AtomicU8::new(FREE);
+const FREE: u8 = 0;
+/// A burst is running, or its frame has not been read yet.
 const DMA: u8 = 1;
-/// The sensor is being set up.
-const SET_UP: u8 = 2;
+/// The IMU's set-up is running.
+const SETUP: u8 = 2;
 
-/// When the burst's sample was ready, or when the board asked for it.
+/// Counter value when the burst's sample was ready, or when the board started the burst without an edge, µs.
 static READY_US: AtomicU32 = AtomicU32::new(0);
-/// The burst was started without an edge of the data-ready line.
+/// Whether the burst was started without an edge of the data-ready line.
 static POLLED: AtomicBool = AtomicBool::new(false);
-/// Another sample became ready while it ran.
+/// Whether another sample became ready during the burst.
 static RISEN: AtomicBool = AtomicBool::new(false);
-/// A step must run without a sample.
+/// Whether a step must run without a sample.
 static OVERDUE: AtomicBool = AtomicBool::new(false);
-/// When that was.
+/// Counter value at which that step became due, µs.
 static OVERDUE_US: AtomicU32 = AtomicU32::new(0);
 /// Wake-ups since the control loop last finished a run.
-static UNSERVED: AtomicU32 = AtomicU32::new(0);
-/// Edges of the data-ready line while the sensor was being set up.
+static PENDING_WAKES: AtomicU32 = AtomicU32::new(0);
+/// Edges of the data-ready line during the set-up.
 static EDGES: AtomicU32 = AtomicU32::new(0);
 
-/// What the board's interrupt must do.
+/// What the board's interrupt handler must do.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[must_use]
-pub enum Next {
+pub enum Action {
     /// Start a burst.
-    Burst,
-    /// Wake `flight`, to see to the burst that has the bus, or to step without a sample.
-    Flight,
-    /// Stop the motors: `flight` was woken [`UNSERVED_LIMIT`] times, and has not finished a run.
-    Stop,
+    StartBurst,
+    /// Wake `control_loop`: to finish the burst that owns the bus, or to step without a sample.
+    WakeControlLoop,
+    /// Stop the motors: `control_loop` was woken more than [`MAX_PENDING_WAKES`] times without finishing a run.
+    StopMotors,
 }
 
-/// A sample became ready at `at_us`; `running` if the burst of the one before still runs. For the board's interrupt, at a
-/// priority above `flight`'s.
-pub fn ready(at_us: u32, running: bool) -> Next {
+/// Handles a data-ready edge at `at_us`; `running` says whether the previous sample's burst is still running. For the
+/// board's interrupt handler, at a priority above that of `control_loop`.
+pub fn ready(at_us: u32, running: bool) -> Action {
     match OWNER.load(Ordering::Acquire) {
-        NOBODY => {
+        FREE => {
             begin_burst(at_us, false);
-            return wake_up(Next::Burst);
+            return count_wake(Action::StartBurst);
         }
         DMA => {
             if running {
@@ -89,28 +89,28 @@ pub fn ready(at_us: u32, running: bool) -> Next {
             }
         }
         _ => {
-            // Nobody else writes to it.
+            // No other code writes to it.
             EDGES.store(EDGES.load(Ordering::Relaxed).wrapping_add(1), Ordering::Relaxed);
             return overdue(at_us);
         }
     }
-    wake_up(Next::Flight)
+    count_wake(Action::WakeControlLoop)
 }
 
-/// No edge came until `at_us`. For the board's interrupt, at the same priority.
-pub fn poll(at_us: u32) -> Next {
-    if OWNER.load(Ordering::Acquire) == NOBODY {
+/// Handles a missing data-ready edge at `at_us`. For the board's interrupt handler, at the same priority as [`ready`].
+pub fn poll(at_us: u32) -> Action {
+    if OWNER.load(Ordering::Acquire) == FREE {
         begin_burst(at_us, true);
-        return wake_up(Next::Burst);
+        return count_wake(Action::StartBurst);
     }
     overdue(at_us)
 }
 
-/// No sample came until `at_us`, and none is asked for. For the board's interrupt.
-pub fn overdue(at_us: u32) -> Next {
+/// Handles a missing sample at `at_us` without starting a burst. For the board's interrupt handler.
+pub fn overdue(at_us: u32) -> Action {
     OVERDUE_US.store(at_us, Ordering::Relaxed);
     OVERDUE.store(true, Ordering::Release);
-    wake_up(Next::Flight)
+    count_wake(Action::WakeControlLoop)
 }
 
 fn begin_burst(at_us: u32, polled: bool) {
@@ -120,41 +120,41 @@ fn begin_burst(at_us: u32, polled: bool) {
     OWNER.store(DMA, Ordering::Release);
 }
 
-/// The control loop has finished a run.
-pub fn served() {
-    UNSERVED.store(0, Ordering::Relaxed);
+/// Records that the control loop has finished a run.
+pub fn run_finished() {
+    PENDING_WAKES.store(0, Ordering::Relaxed);
 }
 
-/// Counts a wake-up of `flight`, for which `next` is to be done.
-fn wake_up(next: Next) -> Next {
-    // The only one who writes besides is `served`, at a lower priority.
-    let unserved = UNSERVED.load(Ordering::Relaxed).wrapping_add(1);
-    UNSERVED.store(unserved, Ordering::Relaxed);
-    if unserved > UNSERVED_LIMIT { Next::Stop } else { next }
+/// Counts a wake-up of `control_loop` and returns `next`, or [`Action::StopMotors`] after too many.
+fn count_wake(next: Action) -> Action {
+    // Only `run_finished` also writes to it, at a lower priority.
+    let unserved = PENDING_WAKES.load(Ordering::Relaxed).wrapping_add(1);
+    PENDING_WAKES.store(unserved, Ordering::Relaxed);
+    if unserved > MAX_PENDING_WAKES { Action::StopMotors } else { next }
 }
 
-/// The set-up has the bus from now on. Before the interrupts are let in.
-pub fn claim() {
-    OWNER.store(SET_UP, Ordering::Release);
+/// Gives the bus to the set-up. Called before the interrupts are enabled.
+pub fn begin_setup() {
+    OWNER.store(SETUP, Ordering::Release);
 }
 
-/// Whether the sensor is to be set up, and the bus is the set-up's.
+/// Returns whether the set-up owns the bus.
 pub fn setting_up() -> bool {
-    OWNER.load(Ordering::Acquire) == SET_UP
+    OWNER.load(Ordering::Acquire) == SETUP
 }
 
-/// How often the data-ready line has risen while the sensor was being set up.
+/// Returns how often the data-ready line has risen during set-ups.
 pub fn edges() -> u32 {
     EDGES.load(Ordering::Relaxed)
 }
 
-/// The sensor is set up, and its bus ready for bursts.
-pub fn set_up_done() {
-    OWNER.store(NOBODY, Ordering::Release);
+/// Ends the set-up: the IMU samples, and the bus is free for bursts.
+pub fn end_setup() {
+    OWNER.store(FREE, Ordering::Release);
 }
 
-/// Where a frame is received. In RAM that DMA reaches: the linker puts no variable into the core-coupled memory
-/// (memory.x). Words, because four bytes are fetched as fast as one.
+/// Receive buffer of a burst. DMA must reach its RAM: the linker puts no variable into the core-coupled memory
+/// (memory.x). It consists of words, because reading four bytes takes as long as reading one.
 pub struct FrameBuffer([AtomicU32; FRAME_LEN / 4]);
 
 impl Default for FrameBuffer {
@@ -164,24 +164,24 @@ impl Default for FrameBuffer {
 }
 
 impl FrameBuffer {
-    /// All zeros, which is no frame.
+    /// Returns a buffer of zeros, which is no valid frame.
     pub const fn new() -> Self {
         Self([const { AtomicU32::new(0) }; FRAME_LEN / 4])
     }
 
-    /// For DMA.
+    /// Returns the buffer's address for DMA.
     pub fn address(&self) -> u32 {
         self.0.as_ptr() as u32
     }
 
-    /// For a board that plays the sensor.
+    /// Writes a frame, for a board that simulates the IMU.
     pub fn write(&self, frame: &Frame) {
         for (word, bytes) in self.0.iter().zip(frame.as_chunks().0) {
             word.store(u32::from_ne_bytes(*bytes), Ordering::Relaxed);
         }
     }
 
-    /// What was received.
+    /// Returns the received frame.
     #[inline]
     pub fn read(&self) -> Frame {
         fence(Ordering::Acquire);
@@ -193,52 +193,52 @@ impl FrameBuffer {
     }
 }
 
-/// What the interrupt of a burst's end says.
+/// Status of a burst, as its interrupt flags give it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Signal {
-    /// Nothing: the burst still runs, or there is none. The vector was pended by software.
+    /// No flag is set: the burst is still running, or there is none, and software has pended the vector.
     Nothing,
-    /// The burst is done.
+    /// The burst is complete.
     Done,
-    /// The bus failed.
+    /// The bus reported an error.
     Failed,
 }
 
-/// The bus on which bursts run.
+/// The bus for bursts.
 ///
-/// The end of a burst raises the vector of `flight` as a level: it stays up until it is acknowledged, and a
-/// handler that returns before that is entered again at once, so that no task of a lower priority runs any more.
-/// Hence the order that [`Sampler::take`] keeps: first it acknowledges, whoever has woken it and whatever it
-/// then finds; only then it decides, by what was read.
+/// The end of a burst raises the vector of `control_loop` as a level: it stays raised until it is acknowledged. A
+/// handler that returns before that is entered again at once, and no task of lower priority can run. Therefore
+/// [`Sampler::next_sample`] always acknowledges first, whichever interrupt has woken it, and only then decides by the status that
+/// it has read.
 pub trait BurstBus {
-    /// Whether the board sets the sensor up again when it must be.
-    const SETS_UP: bool;
+    /// Whether the board can repeat the IMU's set-up.
+    const SUPPORTS_SETUP: bool;
 
-    /// Reads what the interrupt says, and takes down exactly what was read: unless something happens after that,
-    /// the vector is not raised again. It touches neither the burst nor the frame.
+    /// Reads the interrupt status and clears exactly the flags that were read: the vector is raised again only by a
+    /// later event. Touches neither the burst nor the frame.
     fn acknowledge(&mut self) -> Signal;
 
-    /// The frame of a burst that is [`Signal::Done`]. The bus is ready for the next burst after that.
+    /// Returns the frame of a burst that is [`Signal::Done`]. After that the bus is ready for the next burst.
     fn finish(&mut self) -> Frame;
 
-    /// Ends a burst that hangs or has failed, and makes the bus ready for the next. What the stopped burst would
-    /// still raise is taken down.
+    /// Aborts a burst that hangs or has failed, and makes the bus ready for the next one. Also clears the flags that
+    /// the abort itself raises.
     fn abort(&mut self);
 }
 
-/// A step's sample, or that there is none.
+/// The sample of a step, or its absence.
 pub struct Sample {
-    /// When it was ready, or when it should have been, µs.
+    /// Time at which the sample was ready or overdue, µs.
     pub time_us: u64,
-    /// The same on the counter.
+    /// The same time as the 32-bit counter value, µs.
     pub woken_us: u32,
-    /// The counts.
+    /// The sample's counts; `None` without a valid sample.
     pub imu: Option<ImuSample>,
-    /// The data-ready line did not announce it.
+    /// Whether the burst was started without an edge of the data-ready line.
     pub polled: bool,
 }
 
-/// The control loop's side.
+/// The control loop's side of the sampling.
 pub struct Sampler<B> {
     bus: B,
     clock: Clock,
@@ -246,15 +246,15 @@ pub struct Sampler<B> {
 }
 
 impl<B: BurstBus> Sampler<B> {
-    /// Takes what `bus` brings.
+    /// Takes samples from `bus`.
     pub fn new(bus: B) -> Self {
         Self { bus, clock: Clock::new(), recovery: Recovery::new() }
     }
 
-    /// What the next step is for; `None` if there is nothing to do, as when a burst has ended that was also
-    /// overdue.
+    /// Returns what the next step must process, or `None` if there is nothing to do: for example after a wake-up for a
+    /// burst whose step has already run as overdue.
     #[inline]
-    pub fn take(&mut self, now_us: u32) -> Option<Sample> {
+    pub fn next_sample(&mut self, now_us: u32) -> Option<Sample> {
         let signal = self.bus.acknowledge();
         let overdue = OVERDUE.load(Ordering::Acquire);
         if overdue {
@@ -262,17 +262,17 @@ impl<B: BurstBus> Sampler<B> {
         }
         if OWNER.load(Ordering::Acquire) == DMA {
             let ready_us = READY_US.load(Ordering::Relaxed);
-            // Negative if the burst was started since this run began.
+            // Negative if the burst started after this run had read the time.
             let running_us = now_us.wrapping_sub(ready_us) as i32;
             match signal {
                 Signal::Done => {
                     let frame = self.bus.finish();
-                    return Some(self.end(ready_us, decode(&frame, RISEN.load(Ordering::Relaxed))));
+                    return Some(self.finish_burst(ready_us, decode(&frame, RISEN.load(Ordering::Relaxed))));
                 }
                 Signal::Nothing if running_us <= BURST_LIMIT_US => {}
                 Signal::Nothing | Signal::Failed => {
                     self.bus.abort();
-                    return Some(self.end(ready_us, Err(FrameError::NoAnswer)));
+                    return Some(self.finish_burst(ready_us, Err(FrameError::NoAnswer)));
                 }
             }
         }
@@ -284,14 +284,14 @@ impl<B: BurstBus> Sampler<B> {
         Some(Sample { time_us: self.clock.at(woken_us), woken_us, imu: None, polled: false })
     }
 
-    /// The burst is over: the bus is given back.
+    /// Finishes a burst: releases the bus, or gives it to the set-up.
     #[inline]
-    fn end(&mut self, woken_us: u32, frame: Result<ImuSample, FrameError>) -> Sample {
+    fn finish_burst(&mut self, woken_us: u32, frame: Result<ImuSample, FrameError>) -> Sample {
         let polled = POLLED.load(Ordering::Relaxed);
-        let next = if B::SETS_UP && self.recovery.must_set_up(frame, woken_us) { SET_UP } else { NOBODY };
+        let next = if B::SUPPORTS_SETUP && self.recovery.needs_setup(frame, woken_us) { SETUP } else { FREE };
         OWNER.store(next, Ordering::Release);
         let time_us = self.clock.at(woken_us);
-        // The line is silent because there is no new sample: it is lost, and the line is well.
+        // The line did not rise because there is no new sample: the sample is lost, but the line works.
         if polled && frame == Err(FrameError::Repeated) {
             COUNTERS.lost.add();
             return Sample { time_us, woken_us, imu: None, polled: false };
@@ -299,13 +299,13 @@ impl<B: BurstBus> Sampler<B> {
         if polled {
             COUNTERS.polled.add();
         }
-        Sample { time_us, woken_us, imu: counted(frame), polled }
+        Sample { time_us, woken_us, imu: sample_or_count(frame), polled }
     }
 }
 
-/// The frame's sample. What is none is counted by its kind.
+/// Returns the frame's sample, or counts its error by kind.
 #[inline]
-fn counted(frame: Result<ImuSample, FrameError>) -> Option<ImuSample> {
+fn sample_or_count(frame: Result<ImuSample, FrameError>) -> Option<ImuSample> {
     match frame {
         Ok(sample) => return Some(sample),
         Err(FrameError::Repeated) => COUNTERS.repeated.add(),

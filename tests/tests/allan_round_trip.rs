@@ -1,18 +1,18 @@
-//! What goes into the sensor model comes back out of its samples.
+//! The noise parameters of the sensor model are recovered from its samples.
 //!
-//! A scene lies on the bench, its sensors are sampled through the chip's converter, and an Allan analysis that
-//! knows nothing of the model reads N, B and K back. The estimator and the fit stand here, apart from those of
-//! the product, so that the two cannot share a mistake.
+//! A scene lies on the bench, its sensors are sampled through the chip's converter, and an Allan analysis that does
+//! not know the model determines N, B and K. The deviation and the fit are written here a second time, so that they
+//! cannot share an error with those of the product.
 //!
-//! # Where the data carry what
+//! # Which part of the data determines which parameter
 //! With N = 1.9368 deg/√h = 0.0323 deg/s/√Hz, N²/τ falls below the plateau of B = 20 deg/h, (0.664 B)² =
-//! (0.00369 deg/s)², at 77 s, and below the walk of K = 0.0019 deg/s/√s, K² τ/3, at 29 s. An hour is for N, read
-//! from τ of 0.5 s to 16 s; a day is fitted in N, B and K at once from 1 s, where N alone is seen, to 2.4 h, a
+//! (0.00369 deg/s)², at 77 s, and below the walk of K = 0.0019 deg/s/√s, K² τ/3, at 29 s. An hour determines N, read
+//! from τ of 0.5 s to 16 s. A day is fitted in N, B and K together, from 1 s, where only N is visible, to 2.4 h, a
 //! tenth of the record, beyond which fewer than ten independent pairs are left. Fitted from 100 s on with N known,
-//! the same days give B and K with 3.4 % and 5.8 % of deviation; at once, with 2.4 % and 2.7 %.
+//! the same days give B and K with standard deviations of 3.4 % and 5.8 %; fitted together, with 2.4 % and 2.7 %.
 //!
-//! # No luck
-//! `spread_over_seeds` prints, over 10 hours and 40 days of three axes: N off by 1.9 % at worst of 240 readings;
+//! # The bounds do not depend on luck
+//! `spread_over_seeds` prints, over 10 hours and 40 days of three axes: N, worst error 1.9 % of 240 readings;
 //! B: mean −0.7 %, deviation 2.4 %, worst 7.7 % of 120; K: mean −0.8 %, deviation 2.7 %, worst 9.1 %. The bounds of
 //! 3.5 % and 15 % are five deviations away.
 
@@ -31,7 +31,7 @@ const GYRO_N: [f64; 3] = [1.9368 / 60.0 * DEG, 1.239 / 60.0 * DEG, 1.239 / 60.0 
 /// Table 2, accelerometer, m/s²/√Hz.
 const ACCEL_N: [f64; 3] = [0.0012, 0.0012, 0.0014];
 
-/// A scene on the bench with these effects.
+/// Returns a scene on the bench with these effects.
 fn bench(duration_s: f64, effects: &str) -> Scene {
     let text = format!(
         "[scene]\nduration_s = {duration_s:?}\nseed = 1\nvehicle = \"os4\"\nimu = \"paper\"\n{effects}"
@@ -39,7 +39,7 @@ fn bench(duration_s: f64, effects: &str) -> Scene {
     Scene::parse("bench", &text).expect("a valid scene")
 }
 
-/// Feeds every sample of a sensor at rest, in SI as its datasheet reads the counts.
+/// Passes every sample of a sensor at rest to `take`, in SI units by its datasheet.
 fn sample(
     scene: &Scene,
     mut sensor: Sensor,
@@ -49,7 +49,7 @@ fn sample(
 ) {
     let vehicle = Vehicle::at_rest(scene.vehicle, scene.mount(), vec![], 1e-3);
     for k in 0..(scene.duration_s * rate_hz).round() as u32 {
-        let at = Snapshot { time_s: f64::from(k) / rate_hz, ..vehicle.moment() };
+        let at = Snapshot { time_s: f64::from(k) / rate_hz, ..vehicle.snapshot() };
         let counts = sensor.sample(truth, &at);
         take(sensor.nominal(counts));
     }
@@ -58,7 +58,7 @@ fn sample(
 /// Running sums (the angle, or the velocity) of three axes.
 struct Sums {
     interval_s: f64,
-    /// The first sample, taken off all: a constant does not change an Allan deviation, but costs digits.
+    /// The first sample, subtracted from all: a constant does not change an Allan deviation, but costs digits.
     origin: Option<[f64; 3]>,
     axes: [Vec<f64>; 3],
 }
@@ -82,14 +82,14 @@ impl Sums {
     }
 }
 
-/// Overlapping Allan variance at τ = m Δt of the sums x: ½⟨(x\[k+2m\] − 2x\[k+m\] + x\[k\])²⟩/τ².
+/// Returns the overlapping Allan variance at τ = m Δt of the sums x: ½⟨(x\[k+2m\] − 2x\[k+m\] + x\[k\])²⟩/τ².
 fn allan_variance(x: &[f64], m: usize, interval_s: f64) -> f64 {
     let tau_s = m as f64 * interval_s;
     let second = x.iter().zip(&x[m..]).zip(&x[2 * m..]).map(|((a, b), c)| (c - b) - (b - a));
     second.map(|d| d * d).sum::<f64>() / (2.0 * tau_s * tau_s * (x.len() - 2 * m) as f64)
 }
 
-/// N, B and K by weighted least squares of σ²(τ) = N²/τ + (2 ln 2/π) B² + K² τ/3.
+/// N, B and K from a weighted least-squares fit of σ²(τ) = N²/τ + (2 ln 2/π) B² + K² τ/3.
 #[derive(Debug)]
 struct Fit {
     n: f64,
@@ -100,7 +100,7 @@ struct Fit {
 impl Fit {
     fn of(x: &[f64], interval_s: f64, from_s: f64, to_s: f64) -> Self {
         let record_s = (x.len() - 1) as f64 * interval_s;
-        // Half octaves.
+        // τ in half octaves.
         let mut points = Vec::new();
         let mut tau_s = from_s;
         while tau_s <= to_s.min(record_s / 10.0) {
@@ -110,12 +110,12 @@ impl Fit {
         }
         let terms =
             |tau_s: f64| [1.0 / tau_s, 2.0 * std::f64::consts::LN_2 / std::f64::consts::PI, tau_s / 3.0];
-        // The estimate from T/τ pairs has the variance 2σ⁴/(T/τ): σ is the model's own, from the last round.
+        // An estimate from T/τ pairs has the variance 2σ⁴/(T/τ); σ is that of the model of the previous round.
         let mut model: Vec<f64> = points.iter().map(|p| p.1).collect();
         let mut squares = [0.0; 3];
         for _ in 0..20 {
             let mut used = [true; 3];
-            // No square is negative: what comes out below zero is left out, and the others fitted again.
+            // A negative square is impossible: the most negative term is removed, and the others are fitted again.
             loop {
                 squares = solve(&points, &model, record_s, terms, used);
                 match (0..3).filter(|&i| squares[i] < 0.0).min_by(|&i, &j| squares[i].total_cmp(&squares[j]))
@@ -133,7 +133,7 @@ impl Fit {
     }
 }
 
-/// The normal equations of the used terms, by Gauss's elimination; unused ones come back as 0.
+/// Solves the normal equations of the used terms by Gaussian elimination; unused terms are 0.
 fn solve(
     points: &[(f64, f64)],
     model: &[f64],
@@ -169,7 +169,7 @@ fn solve(
     [0, 1, 2].map(|i| rows[i][3] / rows[i][i])
 }
 
-/// Largest error of N over the axes of both sensors, with and without the prefilter: one hour, one run.
+/// Returns the largest relative error of N over the axes of both sensors, without and with the prefilter, in one hour.
 fn worst_n_error(seed: u64, rate_hz: f64) -> [f64; 2] {
     let scene = bench(HOUR_S, "[effects.gyro.white_noise]\n[effects.accel.white_noise]\n");
     let up = Vec3 { x: 0.0, y: 0.0, z: -9.80665 };
@@ -196,7 +196,7 @@ fn worst_n_error(seed: u64, rate_hz: f64) -> [f64; 2] {
     worst
 }
 
-/// The gyroscope for 24 hours at 10 Hz, with Table 2's noise and one effect more: a fit for each axis.
+/// Simulates the gyroscope for 24 hours at 10 Hz with table 2's noise and one more effect; returns a fit for each axis.
 fn day(seed: u64, effect: &str) -> [Fit; 3] {
     let scene = bench(24.0 * HOUR_S, &format!("[effects.gyro.white_noise]\n{effect}"));
     let mut sums = Sums::new(10.0);
@@ -210,33 +210,33 @@ const WALK: &str = "[effects.gyro.rate_random_walk]\nk_deg_s_per_sqrt_s = [0.001
 const K: f64 = 0.0019 * DEG;
 
 #[test]
-fn n_comes_back_at_any_rate_and_through_the_prefilter() {
+fn white_noise_is_recovered_at_any_rate_and_prefiltered() {
     for rate_hz in [100.0, 1000.0] {
         let [plain, filtered] = worst_n_error(1, rate_hz);
-        println!("{rate_hz} Hz: N off by {:.2} %, filtered {:.2} %", plain * 100.0, filtered * 100.0);
+        println!("{rate_hz} Hz: error of N {:.2} %, filtered {:.2} %", plain * 100.0, filtered * 100.0);
         assert!(plain < 0.035 && filtered < 0.035, "{rate_hz} Hz: {plain} {filtered}");
     }
 }
 
 #[test]
-fn b_comes_back_from_a_day() {
+fn bias_instability_is_recovered_from_a_day() {
     for fit in day(1, FLICKER) {
-        println!("B off by {:+.1} %", (fit.b / B - 1.0) * 100.0);
+        println!("error of B {:+.1} %", (fit.b / B - 1.0) * 100.0);
         assert!((fit.b / B - 1.0).abs() < 0.15, "{fit:?}");
     }
 }
 
 #[test]
-fn k_comes_back_from_a_day() {
+fn rate_random_walk_is_recovered_from_a_day() {
     for fit in day(1, WALK) {
-        println!("K off by {:+.1} %", (fit.k / K - 1.0) * 100.0);
+        println!("error of K {:+.1} %", (fit.k / K - 1.0) * 100.0);
         assert!((fit.k / K - 1.0).abs() < 0.15, "{fit:?}");
     }
 }
 
-/// The spread of all the above over seeds, to see that none of them passes by luck.
+/// Prints the spread of the errors above over seeds, to show that the bounds do not depend on luck.
 #[test]
-#[ignore = "for a look at the spread: takes minutes"]
+#[ignore = "prints the spread over seeds; takes minutes"]
 fn spread_over_seeds() {
     for rate_hz in [100.0, 1000.0] {
         for seed in 1..=10 {

@@ -1,12 +1,12 @@
-//! Who may use whom: the table of docs/architecture.md, held to the crates' `Cargo.toml`. No crate uses one that stands
-//! below it, and no modules of a crate import each other in a circle.
+//! Allowed dependencies: diagram and table of docs/architecture.md equal the crates' `Cargo.toml`, no crate uses one
+//! that stands below it in the table, and no modules of a crate import each other in a cycle.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 const ROOT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/..");
 
-/// A crate's place in the table, and whom it uses; with `(`…`)` what is only for its tests or its build.
+/// The crates in the order of the table, each with the crates that it uses; those only for tests or build in `(`…`)`.
 type Crates = Vec<(String, BTreeSet<String>)>;
 
 fn table() -> Crates {
@@ -26,14 +26,14 @@ fn manifest(folder: &str) -> toml::Table {
     std::fs::read_to_string(&path).unwrap().parse().unwrap()
 }
 
-/// The folders of the workspace's crates.
+/// Returns the folders of the workspace's crates.
 fn crates_folders() -> Vec<String> {
     let workspace = manifest(".");
     let members = workspace["workspace"]["members"].as_array().unwrap().iter();
     members.map(|member| member.as_str().unwrap().to_owned()).collect()
 }
 
-/// Every crate of the workspace, with the crates of the workspace that its manifest names.
+/// Returns every crate of the workspace, with the workspace crates in its manifest.
 fn crates() -> BTreeMap<String, BTreeSet<String>> {
     let manifests: Vec<(String, toml::Table)> = crates_folders()
         .into_iter()
@@ -65,7 +65,7 @@ fn crates() -> BTreeMap<String, BTreeSet<String>> {
 }
 
 #[test]
-fn crates_use_only_what_stands_above_them() {
+fn crates_use_only_crates_above_them() {
     let mut above: BTreeSet<String> = BTreeSet::new();
     for (name, uses) in table() {
         for used in &uses {
@@ -77,22 +77,51 @@ fn crates_use_only_what_stands_above_them() {
 }
 
 #[test]
-fn the_table_is_that_of_the_manifests() {
+fn crate_table_equals_the_manifests() {
     let table: BTreeMap<_, _> = table().into_iter().collect();
     assert_eq!(table, crates());
 }
 
-/// Modules at the top of a crate, and those that each imports.
+/// Returns the layer of every crate in the diagram. Each row starts with the number of its layer.
+fn diagram() -> BTreeMap<String, u32> {
+    let page = std::fs::read_to_string(Path::new(ROOT).join("docs/architecture.md")).unwrap();
+    let diagram = page.split("```").nth(1).unwrap();
+    let (mut layer, mut layers) = (None, BTreeMap::new());
+    for line in diagram.lines() {
+        let Some((number, cells)) = line.split_once('│') else { continue };
+        layer = number.trim().parse().ok().or(layer);
+        let names = cells.split(['│', ',']).map(str::trim).filter(|name| !name.is_empty());
+        for name in names {
+            let before = layers.insert(name.to_owned(), layer.unwrap());
+            assert_eq!(before, None, "{name} is in the diagram twice");
+        }
+    }
+    layers
+}
+
+#[test]
+fn diagram_has_every_crate_above_those_it_uses() {
+    let (layers, crates) = (diagram(), crates());
+    assert_eq!(layers.keys().collect::<Vec<_>>(), crates.keys().collect::<Vec<_>>());
+    for (name, uses) in &crates {
+        for used in uses {
+            let used = used.trim_matches(['(', ')']);
+            assert!(layers[name] > layers[used], "{name} uses {used}, which is not in a lower layer");
+        }
+    }
+}
+
+/// The top-level modules of a crate, and the modules that each imports.
 type Imports = BTreeMap<String, BTreeSet<String>>;
 
-/// Adds what a source of `module` imports from its crate: `crate::name`, and `use crate::{name, …}`. Comments and tests in
-/// the file do not count.
+/// Adds the modules that a source of `module` imports from its crate, as `crate::name` or `use crate::{name, …}`.
+/// Comments and the tests in the file do not count.
 fn add_imports(module: &str, source: &str, imports: &mut Imports) {
     let code = source.split("#[cfg(test)]\nmod tests {").next().unwrap_or(source);
     let lines = code.lines().map(str::trim_start).filter(|line| !line.starts_with("//"));
     let code: String = lines.flat_map(|line| [line, "\n"]).collect();
     for (at, found) in code.match_indices("crate::") {
-        // `$crate` and `some_crate` are others.
+        // `$crate` and `some_crate` are not this crate.
         if code[..at].ends_with(|before: char| before == '_' || before == '$' || before.is_alphanumeric()) {
             continue;
         }
@@ -100,7 +129,7 @@ fn add_imports(module: &str, source: &str, imports: &mut Imports) {
         let mut depth = 0;
         let list = match rest.strip_prefix('{') {
             None => rest.split(|c: char| c != '_' && !c.is_alphanumeric()).next().unwrap_or("").to_owned(),
-            // The first names of the list's paths.
+            // The first segments of the paths in the list.
             Some(list) => list
                 .chars()
                 .take_while(|c| {
@@ -120,27 +149,27 @@ fn add_imports(module: &str, source: &str, imports: &mut Imports) {
     }
 }
 
-/// A way from a module back to itself, if there is one.
-fn circle(imports: &Imports) -> Option<Vec<String>> {
-    fn back_to(first: &str, way: &mut Vec<String>, seen: &mut BTreeSet<String>, imports: &Imports) -> bool {
-        let Some(next) = way.last().and_then(|last| imports.get(last)) else { return false };
+/// Returns a cycle of imports, from a module back to itself, if there is one.
+fn cycle(imports: &Imports) -> Option<Vec<String>> {
+    fn reaches(first: &str, path: &mut Vec<String>, seen: &mut BTreeSet<String>, imports: &Imports) -> bool {
+        let Some(next) = path.last().and_then(|last| imports.get(last)) else { return false };
         for module in next {
             if module == first {
                 return true;
             }
             if seen.insert(module.clone()) {
-                way.push(module.clone());
-                if back_to(first, way, seen, imports) {
+                path.push(module.clone());
+                if reaches(first, path, seen, imports) {
                     return true;
                 }
-                way.pop();
+                path.pop();
             }
         }
         false
     }
     imports.keys().find_map(|first| {
-        let mut way = vec![first.clone()];
-        back_to(first, &mut way, &mut BTreeSet::new(), imports).then_some(way)
+        let mut path = vec![first.clone()];
+        reaches(first, &mut path, &mut BTreeSet::new(), imports).then_some(path)
     })
 }
 
@@ -160,7 +189,7 @@ fn sources(folder: &Path, module: Option<&str>, imports: &mut Imports) {
 }
 
 #[test]
-fn no_modules_import_each_other_in_a_circle() {
+fn modules_have_no_import_cycles() {
     for folder in crates_folders() {
         let source = Path::new(ROOT).join(&folder).join("src");
         if !source.exists() {
@@ -168,12 +197,12 @@ fn no_modules_import_each_other_in_a_circle() {
         }
         let mut imports = Imports::new();
         sources(&source, None, &mut imports);
-        assert_eq!(circle(&imports), None, "{folder}");
+        assert_eq!(cycle(&imports), None, "{folder}");
     }
 }
 
 #[test]
-fn a_circle_is_found() {
+fn import_cycle_is_detected() {
     let mut imports = Imports::new();
     add_imports("config", "use crate::{control::Gains, mixer};\n// use crate::loop_;\n", &mut imports);
     add_imports(
@@ -181,8 +210,8 @@ fn a_circle_is_found() {
         "fn f() { crate::range::check() }\n#[cfg(test)]\nmod tests {\nuse crate::config;\n",
         &mut imports,
     );
-    assert_eq!(circle(&imports), None);
+    assert_eq!(cycle(&imports), None);
     assert_eq!(imports["config"], BTreeSet::from(["control".into(), "mixer".into()]));
     add_imports("range", "use crate::config::Config;", &mut imports);
-    assert_eq!(circle(&imports), Some(vec!["config".into(), "mixer".into(), "range".into()]));
+    assert_eq!(cycle(&imports), Some(vec!["config".into(), "mixer".into(), "range".into()]));
 }

@@ -1,16 +1,16 @@
-//! The estimator `robust` in flight with a gyroscope that it can't trust: zeroed at rest from a turn-on bias that
-//! nobody told it, and then the bias steps while it flies. Judged on the truth, at every moment of the flight.
+//! The estimator `robust` in flight with an inaccurate gyroscope: it is zeroed at rest from an unknown turn-on bias,
+//! and then the bias steps in flight. The tilt error is compared with the truth in every step.
 
 use sim_host::flight::{Flight, Observer, StepView};
 use sim_host::scene::Scene;
 
-/// Turn-on bias, 3 °/s in all: √(2² + 2² + 1²), °/s.
+/// Turn-on bias, °/s; its norm is √(2² + 2² + 1²) = 3 °/s.
 const TURN_ON_DEG_S: [f64; 3] = [2.0, -2.0, 1.0];
 const SEEDS: u64 = 5;
-/// Largest tilt error that is allowed at any moment, degrees.
+/// Largest allowed tilt error at any time, degrees.
 const LIMIT_DEG: f64 = 2.0;
 
-/// The largest angle between estimated and true vertical, degrees, and when it was, s.
+/// The largest angle between estimated and true vertical, degrees, and its time, s.
 #[derive(Clone, Copy, Debug, Default)]
 struct Worst {
     tilt_error_deg: f64,
@@ -20,7 +20,7 @@ struct Worst {
 impl Observer for Worst {
     fn step(&mut self, view: &StepView) {
         let (estimate, truth) = (view.estimate.down(), view.truth.attitude.down());
-        // By the cross product: the arc cosine is blind to small angles.
+        // From the cross product as well, because the arc cosine is inaccurate for small angles.
         let error = libm::atan2(estimate.cross(truth).norm(), estimate.dot(truth)).to_degrees();
         if error > self.tilt_error_deg {
             *self = Self { tilt_error_deg: error, at_s: view.time_us as f64 * 1e-6 };
@@ -28,7 +28,7 @@ impl Observer for Worst {
     }
 }
 
-/// The built-in scene, which lies still for 5 s and has linear drag, with these biases.
+/// Returns a built-in scene, which has 5 s of rest and linear drag, with these biases.
 fn scene(name: &str, estimator: &str, step_at_s: f64, step_deg_s: [f64; 3]) -> Scene {
     let text = format!(
         "include = \"{name}\"\n[flight]\nestimator = \"{estimator}\"\n\
@@ -44,20 +44,21 @@ fn worst(scene: &Scene, seed: u64) -> Worst {
     let mut worst = Worst::default();
     let outcome = Flight::new(scene, seed).run(&mut worst);
     assert_eq!(outcome.crash, None, "seed {seed}: {outcome:?}");
-    // The judge of the flight saw the same.
+    // The flight's own statistics agree.
     assert!((outcome.tilt_error_max_deg - worst.tilt_error_deg).abs() < 1e-3, "{outcome:?} {worst:?}");
     worst
 }
 
-/// A step of 0.2 °/s: about each axis, and about level axes in between.
+/// Bias steps of 0.2 °/s: about each axis, and about two horizontal or tilted axes between them.
 const STEPS_DEG_S: [[f64; 3]; 5] =
     [[0.2, 0.0, 0.0], [0.0, -0.2, 0.0], [0.0, 0.0, 0.2], [0.141, 0.141, 0.0], [-0.141, 0.0, 0.141]];
 
 #[test]
-fn the_tilt_stays_within_two_degrees_whenever_and_wherever_the_bias_steps() {
+fn robust_keeps_tilt_error_within_2_deg_after_bias_steps() {
     for name in ["hover", "steps"] {
-        let mut most = Worst::default();
-        // Before, between and during the doublets of `steps`, at 14 s and 19 s; a tilt error takes 12 s to its peak.
+        let mut worst_of_all = Worst::default();
+        // Steps before, between and during the doublets of `steps`, at 14 s and 19 s. A tilt error takes 12 s to its
+        // peak.
         for step_at_s in [6.0, 8.0, 12.0, 16.0] {
             for step in STEPS_DEG_S {
                 let scene = scene(name, "robust", step_at_s, step);
@@ -67,18 +68,18 @@ fn the_tilt_stays_within_two_degrees_whenever_and_wherever_the_bias_steps() {
                         worst.tilt_error_deg <= LIMIT_DEG,
                         "{name}, {step:?} at {step_at_s} s, seed {seed}: {worst:?}"
                     );
-                    if worst.tilt_error_deg > most.tilt_error_deg {
-                        most = worst;
+                    if worst.tilt_error_deg > worst_of_all.tilt_error_deg {
+                        worst_of_all = worst;
                     }
                 }
             }
         }
-        println!("{name}: {} deg at {} s", most.tilt_error_deg, most.at_s);
+        println!("{name}: {} deg at {} s", worst_of_all.tilt_error_deg, worst_of_all.at_s);
     }
 }
 
 #[test]
-fn the_filter_without_a_bias_of_its_own_is_beyond_the_limit() {
+fn flight_exceeds_2_deg_tilt_error_after_a_bias_step() {
     let scene = scene("steps", "flight", 6.0, [0.141, 0.141, 0.0]);
     let worst = worst(&scene, 0);
     println!("{} deg at {} s", worst.tilt_error_deg, worst.at_s);

@@ -1,5 +1,6 @@
-//! What the firmware takes from crates, where it needs a scene, a receiver or a record: the extension of the microsecond
-//! counter, the search for the receiver's protocol, and what is taken of a stored configuration.
+//! Parts of the firmware that live in host-tested crates and need a scene, a receiver or a stored record to test: the
+//! extension of the microsecond counter, the search for the receiver's protocol, and the check of a stored
+//! configuration.
 
 use flight_core::calibration::Calibration;
 use flight_core::geometry::{Mat3, vec3};
@@ -16,79 +17,79 @@ use tasks::clock::Clock;
 use test_support::wire;
 
 #[test]
-fn the_clock_goes_on_where_its_counter_wraps() {
+fn clock_continues_when_its_counter_wraps() {
     let mut clock = Clock::new();
     assert_eq!(clock.at(5), 5);
     assert_eq!(clock.at(5), 5);
     let mut count = 5_u32;
     let mut expected = 5_u64;
     for _ in 0..100 {
-        // Half an hour each: over the wrap at 71 minutes.
+        // Half an hour each, so that the counter wraps (after 71 minutes).
         count = count.wrapping_add(1_800_000_000);
         expected += 1_800_000_000;
         assert_eq!(clock.at(count), expected);
-        // A reading that was taken earlier, and asked for later.
+        // A count that was read earlier and is converted later.
         assert_eq!(clock.at(count.wrapping_sub(40)), expected - 40);
         assert_eq!(clock.at(count), expected);
     }
 }
 
-/// A port with a receiver at its other end, which sends a frame every 10 ms and knows nothing of the port's settings.
+/// A serial port with a receiver at the other end, which sends a frame every 10 ms whatever the port's settings.
 struct Wire {
     search: Search,
-    listens_for: Protocol,
+    port_set_for: Protocol,
     now_us: u64,
 }
 
 impl Wire {
     fn new() -> Self {
-        Self { search: Search::new(ChannelMap::AETR), listens_for: Search::FIRST, now_us: 0 }
+        Self { search: Search::new(ChannelMap::AETR), port_set_for: Search::FIRST, now_us: 0 }
     }
 
-    /// Ten milliseconds: the receiver sends `bytes`, in `speaks`.
-    fn pass(&mut self, speaks: Protocol, bytes: &[u8]) -> Option<RcFrame> {
+    /// Advances by ten milliseconds, in which the receiver sends `bytes` in the protocol `sent`.
+    fn pass(&mut self, sent: Protocol, bytes: &[u8]) -> Option<RcFrame> {
         let mut last = None;
         for (n, byte) in bytes.iter().enumerate() {
-            let received = if self.listens_for == speaks { Received::Byte(*byte) } else { Received::Damaged };
-            let frame = self.search.push(received, self.now_us + wire::received_us(speaks, n));
+            let received = if self.port_set_for == sent { Received::Byte(*byte) } else { Received::Damaged };
+            let frame = self.search.push(received, self.now_us + wire::received_us(sent, n));
             last = frame.or(last);
         }
         self.now_us += 10_000;
         if let Some(line) = self.search.next_line(self.now_us) {
-            self.listens_for = wire::BOTH.into_iter().find(|protocol| protocol.line() == line).unwrap();
+            self.port_set_for = wire::BOTH.into_iter().find(|protocol| protocol.line() == line).unwrap();
         }
         last
     }
 }
 
 #[test]
-fn the_receivers_protocol_is_found_and_kept() {
+fn receiver_protocol_is_found_and_kept() {
     let mut channels = [992; 16];
     channels[2] = 300;
-    for speaks in wire::BOTH {
-        let bytes = wire::channels(speaks, &channels);
+    for sent in wire::BOTH {
+        let bytes = wire::channels(sent, &channels);
         let mut wire = Wire::new();
-        let first = (0..150).find_map(|_| wire.pass(speaks, &bytes)).expect("found within 1.5 s");
+        let first = (0..150).find_map(|_| wire.pass(sent, &bytes)).expect("found within 1.5 s");
         assert_eq!(first, ChannelMap::AETR.frame(&channels, LinkStatus::Good));
-        assert_eq!(wire.search.found(), Some(speaks));
+        assert_eq!(wire.search.found(), Some(sent));
 
-        // A minute of silence: the port goes on listening for the same, and hears the first frame that comes.
+        // After a minute of silence the port still has the same settings and decodes the first frame.
         for _ in 0..6_000 {
-            assert_eq!(wire.pass(speaks, &[]), None);
+            assert_eq!(wire.pass(sent, &[]), None);
         }
-        assert_eq!(wire.pass(speaks, &bytes), Some(first));
+        assert_eq!(wire.pass(sent, &bytes), Some(first));
 
-        // A frame that ends wrong is counted, and the next one heard.
+        // A frame with a wrong last byte is counted, and the next one is decoded.
         let (last, begin) = bytes.split_last().unwrap();
         let before = wire.search.damaged();
-        assert_eq!(wire.pass(speaks, &[begin, &[last ^ 0x81]].concat()), None);
-        assert_eq!(wire.pass(speaks, &bytes), Some(first));
+        assert_eq!(wire.pass(sent, &[begin, &[last ^ 0x81]].concat()), None);
+        assert_eq!(wire.pass(sent, &bytes), Some(first));
         assert!(wire.search.damaged() > before);
     }
 }
 
 #[test]
-fn what_the_receiver_says_of_its_link_is_passed_on() {
+fn receiver_link_status_is_passed_on() {
     let mut wire = Wire::new();
     let frame = |flags| wire::sbus(&[992; 16], flags, 0);
     for _ in 0..100 {
@@ -103,18 +104,18 @@ fn what_the_receiver_says_of_its_link_is_passed_on() {
 }
 
 #[test]
-fn noise_is_no_receiver() {
+fn noise_is_not_taken_for_a_receiver() {
     let mut wire = Wire::new();
     let mut random = wire::Random(1);
     for _ in 0..60_000 {
         let bytes: [u8; 26] = std::array::from_fn(|_| random.byte());
-        let speaks = wire.listens_for;
-        assert_eq!(wire.pass(speaks, &bytes), None);
+        let sent = wire.port_set_for;
+        assert_eq!(wire.pass(sent, &bytes), None);
     }
     assert_eq!(wire.search.found(), None);
 }
 
-/// A board whose inertial sensor is turned.
+/// Returns the parameters of a board whose inertial sensor is mounted rotated.
 fn board() -> Params {
     let mut board = Params::default();
     let mounting = Mat3 { rows: [vec3(0.0, 1.0, 0.0), vec3(1.0, 0.0, 0.0), vec3(0.0, 0.0, -1.0)] };
@@ -130,23 +131,23 @@ fn stored_as(config: &Config) -> Result<Config, Refused> {
 }
 
 #[test]
-fn a_stored_configuration_keeps_the_boards_mounting() {
+fn stored_configuration_keeps_the_boards_mounting() {
     let mut config = Config { params: Params::default(), calibration: Some(Calibration::NONE) };
     config.calibration.as_mut().unwrap().gyro.bias = vec3(0.01, -0.02, 0.03);
     config.params.descent.throttle = 0.3;
-    // The magnetometer is not soldered to the board: its mounting is the vehicle's.
+    // The magnetometer is not on the board: the vehicle defines its mounting.
     config.params.mag.mounting = board().gyro.mounting;
-    let taken = stored_as(&config).unwrap();
-    assert_eq!(taken.params.gyro.mounting, board().gyro.mounting);
-    assert_eq!(taken.params.accel.mounting, board().accel.mounting);
+    let accepted = stored_as(&config).unwrap();
+    assert_eq!(accepted.params.gyro.mounting, board().gyro.mounting);
+    assert_eq!(accepted.params.accel.mounting, board().accel.mounting);
     config.params.gyro.mounting = board().gyro.mounting;
     config.params.accel.mounting = board().accel.mounting;
-    assert_eq!(taken, config);
-    assert!(FlightController::new(&taken).is_ok());
+    assert_eq!(accepted, config);
+    assert!(FlightController::new(&accepted).is_ok());
 }
 
 #[test]
-fn a_configuration_that_is_not_for_the_board_is_refused_by_name() {
+fn configuration_of_another_board_is_refused_by_field() {
     let config = Config { params: Params::default(), calibration: Some(Calibration::NONE) };
     let refused = |change: fn(&mut Config)| {
         let mut config = config;
@@ -154,13 +155,13 @@ fn a_configuration_that_is_not_for_the_board_is_refused_by_name() {
         stored_as(&config).map(|_| ())
     };
     assert_eq!(refused(|_| ()), Ok(()));
-    let not_the_boards = |field| Err(Refused::NotTheBoards(field));
+    let wrong_board = |field| Err(Refused::WrongBoard(field));
     let out_of_range = |field| Err(Refused::OutOfRange(field));
-    assert_eq!(refused(|c| c.params.imu_rate_hz = 500.0), not_the_boards("imu_rate_hz"));
-    assert_eq!(refused(|c| c.params.imu_rate_hz = f32::NAN), not_the_boards("imu_rate_hz"));
-    assert_eq!(refused(|c| c.params.gyro.per_count *= 2.0), not_the_boards("gyro.per_count"));
-    assert_eq!(refused(|c| c.params.accel.per_count = f32::NAN), not_the_boards("accel.per_count"));
-    assert_eq!(refused(|c| c.params.mag.per_count *= 0.998), not_the_boards("mag.per_count"));
+    assert_eq!(refused(|c| c.params.imu_rate_hz = 500.0), wrong_board("imu_rate_hz"));
+    assert_eq!(refused(|c| c.params.imu_rate_hz = f32::NAN), wrong_board("imu_rate_hz"));
+    assert_eq!(refused(|c| c.params.gyro.per_count *= 2.0), wrong_board("gyro.per_count"));
+    assert_eq!(refused(|c| c.params.accel.per_count = f32::NAN), wrong_board("accel.per_count"));
+    assert_eq!(refused(|c| c.params.mag.per_count *= 0.998), wrong_board("mag.per_count"));
     assert_eq!(refused(|c| c.params.gyro.per_count *= 1.000_01), Ok(()));
     assert_eq!(refused(|c| c.params.descent.throttle = f32::NAN), out_of_range("descent.throttle"));
     assert_eq!(refused(|c| c.params.channels.arm = 16), out_of_range("rc.channels"));
@@ -172,29 +173,29 @@ fn a_configuration_that_is_not_for_the_board_is_refused_by_name() {
     assert_eq!(out_of_range("a").map_err(Refused::text), Err::<(), _>(("out of range: ", "a")));
 }
 
-/// What `sim-host config` writes.
+/// The configurations are those that `sim-host config` writes.
 #[test]
-fn the_built_in_scenes_with_the_boards_sensors_are_taken() {
-    let mut taken = 0;
+fn scenes_with_the_boards_sensors_are_accepted() {
+    let mut accepted = 0;
     for built_in in BUILT_IN {
         let scene = Scene::parse(built_in.name, built_in.text).unwrap();
         match stored_as(&scene.config) {
-            Ok(_) => taken += 1,
-            Err(refused) => assert!(matches!(refused, Refused::NotTheBoards(_)), "{}", built_in.name),
+            Ok(_) => accepted += 1,
+            Err(refused) => assert!(matches!(refused, Refused::WrongBoard(_)), "{}", built_in.name),
         }
     }
-    assert!(taken >= 10, "{taken}");
+    assert!(accepted >= 10, "{accepted}");
 }
 
 proptest! {
-    /// Whatever flash holds: it is taken, and a flight controller can be built from it, or it is refused.
+    /// Any bytes in flash are either accepted, and a flight controller can be built from them, or refused.
     #[test]
-    fn any_stored_bytes_are_taken_or_refused(
+    fn any_stored_bytes_are_accepted_or_refused(
         bytes in prop::collection::vec(any::<u8>(), 0..MAX_RECORD),
         floats in prop::collection::vec((any::<prop::sample::Index>(), prop::num::f32::ANY), 0..3),
     ) {
         prop_assert!(read_for_board(&bytes, &board()).is_err());
-        // And behind a checksum that fits.
+        // The same for arbitrary numbers with a valid checksum.
         let config = Config { params: Params::default(), calibration: Some(Calibration::NONE) };
         let mut record = encode(&config, &mut [0; MAX_RECORD]).unwrap().to_vec();
         let end = record.len() - 4;
@@ -210,7 +211,7 @@ proptest! {
     }
 }
 
-/// CRC-32 as in Ethernet, bit by bit.
+/// Computes the CRC-32 of Ethernet, bit by bit.
 fn crc32(bytes: &[u8]) -> u32 {
     let bit = |crc: u32| if crc & 1 == 1 { crc >> 1 ^ 0xedb8_8320 } else { crc >> 1 };
     !bytes.iter().fold(!0, |crc, byte| (0..8).fold(crc ^ u32::from(*byte), |crc, _| bit(crc)))

@@ -1,5 +1,5 @@
-//! Many seeds of every built-in scene that flies, judged on the truth; and what ends a flight outside the envelope.
-//! `docs/campaigns.md` has the figures of a thousand.
+//! Many seeds of every built-in flying scene, judged on the truth, and the failures that end a flight outside the
+//! envelope. `docs/campaigns.md` has the results of a thousand seeds.
 
 use std::num::NonZeroUsize;
 use std::path::Path;
@@ -10,8 +10,8 @@ use sim_host::campaign::{Campaign, Run, fly};
 use sim_host::flight::Crash;
 use sim_host::scene::{BUILT_IN, Scene};
 
-/// The scenes within the envelope: the largest error of any flight's estimated attitude, ° RMSE, and the furthest from
-/// the pilot's target, m. A fifth above the worst of a thousand seeds.
+/// The scenes within the envelope, with bounds: attitude error of any flight, ° RMSE, and largest distance from the
+/// pilot's target, m. The bounds are a fifth above the worst of a thousand seeds.
 const WITHIN: [(&str, f64, f64); 11] = [
     ("hover", 0.67, 0.42),
     ("steps", 0.85, 2.7),
@@ -26,7 +26,7 @@ const WITHIN: [(&str, f64, f64); 11] = [
     ("whole-drive", 0.85, 2.8),
 ];
 
-/// A way to fail, and how it ends on every seed.
+/// A failure, and how it ends on every seed.
 struct Outside {
     what: &'static str,
     scene: &'static str,
@@ -34,9 +34,9 @@ struct Outside {
     state: ArmState,
 }
 
-/// Outside the envelope. Where the flight controller knows what has failed, its state names it; of a wind that it has no
-/// power against it does not know: then the judge of the truth names the crash. With a rotor gone the judge is
-/// quicker, but for one who lets a vehicle fly on its back.
+/// Flights outside the envelope. If the flight controller knows the failure, its final state shows it. It cannot detect
+/// a wind that is too strong: then the simulator's crash names the end. With a failed rotor the simulator detects the
+/// crash first, except in an aerobatic scene, where a vehicle may fly inverted.
 const OUTSIDE: [Outside; 7] = [
     Outside {
         what: "link lost for good",
@@ -63,26 +63,26 @@ const OUTSIDE: [Outside; 7] = [
         state: ArmState::Terminated,
     },
     Outside {
-        what: "a rotor gone",
+        what: "a rotor failed",
         scene: "[effects.vehicle.motor_failure]\nrotor = 3\nat_s = 12.0\n",
         crash: Some(Crash::TippedOver),
         state: ArmState::Armed,
     },
     Outside {
-        what: "a rotor gone high up, looked at beyond the crash",
+        what: "a rotor failed at height, in an aerobatic scene",
         scene: "[scene]\naerobatic = true\n[pilot]\nheight_m = 15.0\n[effects.vehicle.motor_failure]\nrotor = 3\nat_s = 12.0\n",
         crash: Some(Crash::HardTouchDown),
         state: ArmState::Terminated,
     },
     Outside {
-        what: "14 m/s of wind, 3.5 N of drag, where 20° of tilt give 2.3 N",
+        what: "wind of 14 m/s: drag 3.5 N, but 20° of tilt give only 2.3 N",
         scene: "[effects.wind.constant]\nvelocity_m_s = [-14.0, 0.0, 0.0]\n",
         crash: Some(Crash::FlownAway),
         state: ArmState::Armed,
     },
 ];
 
-/// Every run with a tolerance of its own, on top of a scene: the spread of a dozen vehicles from one parts list.
+/// Tolerances added to a scene: the spread of a dozen vehicles from one parts list.
 const SPREAD: &str = "[tolerances]
 mass_kg = { uniform_percent = 5 }
 inertia_kg_m2 = { uniform_percent = 7 }
@@ -105,7 +105,7 @@ fn flown(scene: &Scene, runs: u64) -> Vec<Run> {
     fly(&scene, &Campaign::new(&scene, runs), 0..runs, jobs, &AtomicBool::new(false), &|| ())
 }
 
-fn stay_within(runs: u64) {
+fn check_within_envelope(runs: u64) {
     for (name, rmse_deg, distance_m) in WITHIN {
         for Run { number, outcome, .. } in flown(&Scene::load(name).unwrap(), runs) {
             assert_eq!(
@@ -121,7 +121,7 @@ fn stay_within(runs: u64) {
     }
 }
 
-fn end_as_they_should(runs: u64) {
+fn check_outside_envelope(runs: u64) {
     for Outside { what, scene, crash, state } in OUTSIDE {
         let scene = Scene::parse(what, &format!("include = \"hover\"\n{scene}")).unwrap();
         for Run { number, outcome, .. } in flown(&scene, runs) {
@@ -143,38 +143,38 @@ fn fly_with_tolerances(runs: u64) {
 }
 
 #[test]
-fn ten_seeds_of_every_scene_end_as_they_should() {
-    stay_within(10);
-    end_as_they_should(4);
+fn ten_seeds_of_every_scene_end_as_expected() {
+    check_within_envelope(10);
+    check_outside_envelope(4);
     fly_with_tolerances(4);
 }
 
 #[test]
-#[ignore = "a thousand seeds: 12,800 flights, minutes; .ci/run runs them"]
-fn a_thousand_seeds_of_every_scene_end_as_they_should() {
-    stay_within(1_000);
-    end_as_they_should(200);
+#[ignore = "a thousand seeds: 12,800 flights, minutes; .ci/nightly runs them"]
+fn thousand_seeds_of_every_scene_end_as_expected() {
+    check_within_envelope(1_000);
+    check_outside_envelope(200);
     fly_with_tolerances(200);
 }
 
 #[test]
-fn every_scene_that_flies_is_within_or_outside() {
+fn every_flying_scene_has_bounds() {
     let names = WITHIN.map(|(name, ..)| name);
     for built_in in BUILT_IN {
-        // `motor-out` is the rotor gone of the list above.
+        // `motor-out` is the failed rotor of the list above.
         let flies = Scene::load(built_in.name).unwrap().pilot.is_some() && built_in.name != "motor-out";
         assert_eq!(names.contains(&built_in.name), flies, "{}", built_in.name);
     }
 }
 
 #[test]
-fn the_page_has_every_tolerance() {
+fn campaigns_page_lists_every_tolerance() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/campaigns.md");
     let page = std::fs::read_to_string(path).unwrap();
-    let said =
+    let message =
         Scene::parse("none", "include = \"hover\"\n[tolerances]\nno_such_key = 1\n").unwrap_err().to_string();
-    let keys: Vec<&str> = said.split('`').skip(1).step_by(2).filter(|key| *key != "no_such_key").collect();
-    assert_eq!(keys.len(), 12, "{said}");
+    let keys: Vec<&str> = message.split('`').skip(1).step_by(2).filter(|key| *key != "no_such_key").collect();
+    assert_eq!(keys.len(), 12, "{message}");
     for key in keys {
         assert!(page.contains(&format!("| `{key}` |")), "docs/campaigns.md has no {key}");
     }

@@ -1,4 +1,4 @@
-//! The built-in scenes, flown in closed loop and judged on the truth.
+//! Closed-loop flights of the built-in scenes, judged on the truth.
 
 use flight_core::ArmState;
 use sim_host::flight::{Flight, Observer, Outcome, StepView};
@@ -8,7 +8,7 @@ fn fly(name: &str, seed: u64) -> Outcome {
     Flight::new(&Scene::load(name).unwrap(), seed).run(&mut ())
 }
 
-/// A true angle over time, one entry a millisecond, degrees.
+/// True roll and pitch over time, one value a millisecond, degrees.
 #[derive(Default)]
 struct Tilt {
     roll_deg: Vec<f64>,
@@ -24,13 +24,13 @@ impl Observer for Tilt {
 }
 
 #[test]
-fn stand_steps_settle_in_the_truth() {
+fn stand_steps_settle_within_0_6_s() {
     let scene = Scene::load("stand-steps").unwrap();
     let mut tilt = Tilt::default();
     let outcome = Flight::new(&scene, scene.seed).run(&mut tilt);
     assert_eq!(outcome.crash, None);
     assert!(outcome.attitude_rmse_deg <= 1.0, "{outcome:?}");
-    // Roll to the right and left, then nose down (stick forward) and up; each out and back.
+    // Roll right and left, then pitch down (stick forward) and up; each step there and back.
     let steps = [
         (&tilt.roll_deg, 6000, 0.0, 30.0),
         (&tilt.roll_deg, 8000, 30.0, 0.0),
@@ -43,10 +43,10 @@ fn stand_steps_settle_in_the_truth() {
     ];
     for (angle, at_ms, from_deg, to_deg) in steps {
         let held = &angle[at_ms..at_ms + 2000];
-        // How far along its 30° the step is, 1 being there.
-        let along = |deg: &f64| (deg - from_deg) / (to_deg - from_deg);
-        let overshoot = held.iter().map(along).fold(0.0, f64::max) - 1.0;
-        let late = held[600..].iter().map(|deg| (along(deg) - 1.0).abs()).fold(0.0, f64::max);
+        // Progress of the step: 0 at its start, 1 at its target.
+        let progress = |deg: &f64| (deg - from_deg) / (to_deg - from_deg);
+        let overshoot = held.iter().map(progress).fold(0.0, f64::max) - 1.0;
+        let late = held[600..].iter().map(|deg| (progress(deg) - 1.0).abs()).fold(0.0, f64::max);
         println!("step at {at_ms} ms to {to_deg}°: overshoot {overshoot:.3}, after 0.6 s within {late:.4}");
         assert!(overshoot <= 0.15, "step at {at_ms} ms overshoots by {overshoot}");
         assert!(late <= 0.05, "step at {at_ms} ms is off by {late} after 0.6 s");
@@ -54,11 +54,11 @@ fn stand_steps_settle_in_the_truth() {
 }
 
 #[test]
-fn steps_are_flown_with_the_flight_filter() {
+fn steps_with_flight_estimator_stay_within_error_bounds() {
     let outcome = fly("steps", 7);
     assert_eq!(outcome.crash, None);
     assert!(outcome.attitude_rmse_deg <= 2.0 && outcome.tilt_error_max_deg <= 3.0, "{outcome:?}");
-    // The doublets were flown: the vehicle did tilt by 30°.
+    // The doublets were flown: the vehicle tilted by 30°.
     assert!(outcome.tilt_max_deg > 29.0 && outcome.tilt_max_deg < 34.5, "{outcome:?}");
 }
 
@@ -70,7 +70,7 @@ fn hover_stays_within_half_a_metre_lands_and_disarms() {
 }
 
 #[test]
-fn a_hundred_seeds_of_each_scene_do_not_crash() {
+fn hundred_seeds_of_each_scene_do_not_crash() {
     for name in ["hover", "steps", "stand-steps"] {
         let scene = Scene::load(name).unwrap();
         for seed in 0..100 {
@@ -89,14 +89,14 @@ fn a_hundred_seeds_of_each_scene_do_not_crash() {
 }
 
 #[test]
-fn the_same_seed_is_the_same_flight_and_another_is_another() {
+fn equal_seeds_fly_equally_and_others_differ() {
     for name in ["hover", "steps", "stand-steps"] {
         assert_eq!(fly(name, 7), fly(name, 7));
         assert_ne!(fly(name, 7).digest, fly(name, 8).digest);
     }
 }
 
-/// Watches when the motors may turn.
+/// Records when the motors are permitted to turn, and any violation.
 #[derive(Default)]
 struct Permits {
     first_us: Option<u64>,
@@ -116,16 +116,16 @@ impl Observer for Permits {
 }
 
 #[test]
-fn nothing_turns_before_the_arm_gesture_and_nothing_after_the_landing() {
+fn motors_are_off_before_arming_and_after_landing() {
     let scene = Scene::load("hover").unwrap();
     let mut permits = Permits::default();
     Flight::new(&scene, scene.seed).run(&mut permits);
-    // The gesture begins at 3 s, is held for one, and everything is checked for half a second more.
+    // The gesture starts at 3 s and is held for 1 s; then the checks take another 0.5 s.
     assert_eq!(permits.first_us, Some(4_501_000));
     assert!(!permits.without_state && !permits.turning_without);
 }
 
-/// A scene from a built-in one, with some words exchanged.
+/// Returns a built-in scene with some of its text replaced.
 fn altered(name: &str, changes: &[(&str, &str)]) -> Scene {
     let built_in = sim_host::scene::BUILT_IN.iter().find(|scene| scene.name == name).unwrap();
     let text = changes.iter().fold(built_in.text.to_owned(), |text, (from, to)| {
@@ -136,8 +136,8 @@ fn altered(name: &str, changes: &[(&str, &str)]) -> Scene {
 }
 
 #[test]
-fn switching_an_effect_off_leaves_the_draws_of_the_others() {
-    // Without the gyroscope's noise the accelerometer of the vehicle at rest reads the same counts.
+fn removing_an_effect_keeps_the_draws_of_the_others() {
+    // With and without the gyroscope's noise, the accelerometer of the vehicle at rest reads the same counts.
     struct Counts(Vec<[i16; 3]>);
     impl Observer for Counts {
         fn step(&mut self, view: &StepView) {
@@ -163,8 +163,8 @@ fn switching_an_effect_off_leaves_the_draws_of_the_others() {
 }
 
 #[test]
-fn a_vehicle_that_has_become_too_heavy_to_fly_stays_on_the_ground() {
-    // A file that says so is refused; this one has been loaded with more than it can lift.
+fn overloaded_vehicle_stays_on_the_ground() {
+    // A file with this mass would be refused, so the mass is changed in the loaded scene.
     let mut scene = Scene::load("hover").unwrap();
     scene.vehicle.mass_kg = 1.4;
     let outcome = Flight::new(&scene, 7).run(&mut ());
@@ -188,7 +188,7 @@ impl Observer for Turns {
 }
 
 #[test]
-fn in_rate_mode_the_sticks_command_rates_and_centred_ones_hold_any_tilt() {
+fn rate_mode_follows_sticks_and_holds_tilt_when_centred() {
     let moves = "
         [[pilot.move]]
         at_s = 15.0
@@ -211,25 +211,25 @@ fn in_rate_mode_the_sticks_command_rates_and_centred_ones_hold_any_tilt() {
     let outcome = Flight::new(&scene, scene.seed).run(&mut turns);
     assert_eq!((outcome.crash, outcome.final_state), (None, ArmState::Disarmed), "{outcome:?}");
 
-    // Half of full stick is half of 180 °/s. The sticks are 20 ms late, the loop settles in 0.15 s.
+    // Half stick commands half of 180 °/s. The sticks are 20 ms late; the loop settles in 0.15 s.
     let p = scene.config.params.control;
-    let asked = f64::from(0.5 * p.max_stick_rate_rad_s).to_degrees();
+    let commanded = f64::from(0.5 * p.max_stick_rate_rad_s).to_degrees();
     for [x, y, z] in &turns.rates_deg_s[15_200..15_300] {
         assert!(
-            (x - asked).abs() < 0.1 * asked && y.abs() < 3.0 && z.abs() < 3.0,
-            "{x} {y} {z}, asked {asked}"
+            (x - commanded).abs() < 0.1 * commanded && y.abs() < 3.0 && z.abs() < 3.0,
+            "{x} {y} {z}, commanded {commanded}"
         );
     }
-    // Centred, it stays as tilted as it is: by angles it would be level after 0.5 s.
+    // With centred sticks the tilt stays; in angle mode the vehicle would be level after 0.5 s.
     let held = &turns.tilt_deg[15_500..15_900];
-    let (least, most) = held.iter().fold((f64::MAX, 0.0_f64), |(l, m), t| (l.min(*t), m.max(*t)));
-    println!("asked {asked:.1} deg/s; held {least:.1} to {most:.1} deg");
-    assert!(least > 15.0 && most - least < 4.0, "{least} to {most}");
+    let (min, max) = held.iter().fold((f64::MAX, 0.0_f64), |(l, m), t| (l.min(*t), m.max(*t)));
+    println!("commanded {commanded:.1} deg/s; held {min:.1} to {max:.1} deg");
+    assert!(min > 15.0 && max - min < 4.0, "{min} to {max}");
 }
 
 #[test]
-fn sticks_from_stop_to_stop_are_followed_and_not_taken_for_a_vehicle_that_does_not() {
-    // 45° in roll and in pitch one way, 60° of tilt, and then the other way: 120° apart.
+fn full_stick_reversals_do_not_exceed_the_tilt_limit() {
+    // 45° in roll and in pitch give 60° of tilt; then the opposite sticks: 120° apart.
     let moves: String = (0..8)
         .map(|k| {
             let (at_s, side) = (26.0 + 0.6 * f64::from(k), if k % 2 == 0 { 1.0 } else { -1.0 });
@@ -243,7 +243,7 @@ fn sticks_from_stop_to_stop_are_followed_and_not_taken_for_a_vehicle_that_does_n
     let scene = Scene::parse("stops.toml", &text).unwrap();
     let mut tilt = Tilt::default();
     let outcome = Flight::new(&scene, scene.seed).run(&mut tilt);
-    let most = |angle: &[f64]| angle.iter().fold(0.0, |most: f64, deg| most.max(deg.abs()));
-    assert!(most(&tilt.roll_deg) > 40.0 && most(&tilt.pitch_deg) > 35.0, "{outcome:?}");
+    let largest = |angle: &[f64]| angle.iter().fold(0.0, |max: f64, deg| max.max(deg.abs()));
+    assert!(largest(&tilt.roll_deg) > 40.0 && largest(&tilt.pitch_deg) > 35.0, "{outcome:?}");
     assert_eq!((outcome.crash, outcome.final_state), (None, ArmState::Armed), "{outcome:?}");
 }

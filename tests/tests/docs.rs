@@ -1,7 +1,8 @@
-//! `docs/paper.md` against the sources: what it names exists, where it says. And figures of the firmware on any page.
+//! `docs/paper.md` against the sources: the code and tests that it names exist in the linked files. Also checks figures
+//! of the firmware on several pages.
 //!
-//! In `docs/paper.md` a paragraph that begins with **Implemented.** or **Tested by** is a list of names in backticks, each followed,
-//! after it or after more of them, by a link to the file that has them.
+//! In `docs/paper.md` a paragraph that starts with **Implemented.** or **Tested by** lists names in backticks, each
+//! followed, directly or after more names, by a link to the file that has them.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -14,14 +15,14 @@ fn read(path: &Path) -> String {
     std::fs::read_to_string(path).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
 }
 
-/// The page without its formulas, in paragraphs.
+/// Returns the paragraphs of the page, without its formulas.
 fn paragraphs() -> Vec<String> {
     let page = read(&workspace().join("docs/paper.md"));
     let outside = page.split("```").step_by(2).collect::<Vec<_>>().join("\n\n");
     outside.split("\n\n").map(|p| p.trim().to_owned()).filter(|p| !p.is_empty()).collect()
 }
 
-/// Names in backticks, each with the file of the next link: `name` in \[text\](file).
+/// Returns the names in backticks, each with the file of the next link: `name` in \[text\](file).
 fn named(paragraph: &str) -> Vec<(String, PathBuf)> {
     let (mut found, mut waiting) = (vec![], vec![]);
     let mut rest = paragraph;
@@ -38,19 +39,19 @@ fn named(paragraph: &str) -> Vec<(String, PathBuf)> {
             found.extend(waiting.drain(..).map(|name| (name, file.clone())));
         }
     }
-    // Behind the last link only remarks, such as the name of a scene.
+    // Behind the last link there are only remarks, such as the name of a scene.
     let stray = waiting.iter().find(|name| name.contains(['_', ':']));
     assert!(stray.is_none(), "{stray:?} has no file");
     found
 }
 
-/// `text` behind `word`, if it begins with it and the word ends there.
+/// Returns the text behind `word` if `text` starts with that whole word.
 fn after_word<'a>(text: &'a str, word: &str) -> Option<&'a str> {
     let rest = text.strip_prefix(word)?;
     (!rest.starts_with(|c: char| c.is_alphanumeric() || c == '_')).then_some(rest)
 }
 
-/// The functions of a source that carry `#[test]`.
+/// Returns the functions of a source that have the attribute `#[test]`.
 fn tests_in(source: &str) -> BTreeSet<String> {
     let mut tests = BTreeSet::new();
     let mut is_test = false;
@@ -67,8 +68,8 @@ fn tests_in(source: &str) -> BTreeSet<String> {
     tests
 }
 
-/// Whether the source defines the last part of `name` (a function, type, constant, field or variant) and
-/// knows the other parts.
+/// Returns whether the source defines the last part of `name` (a function, type, constant, field or variant) and
+/// contains the other parts.
 fn defines(source: &str, name: &str) -> bool {
     let mut parts: Vec<&str> = name.split("::").collect();
     let last = parts.pop().unwrap_or_default();
@@ -86,11 +87,11 @@ fn defines(source: &str, name: &str) -> bool {
 }
 
 #[test]
-fn docs_name_real_tests() {
+fn paper_page_names_existing_tests() {
     let mut names = BTreeSet::new();
     for paragraph in paragraphs().iter().filter(|p| p.starts_with("**Tested by**")) {
         for (name, file) in named(paragraph) {
-            // A scene or estimator in the remarks is one word.
+            // Names without an underscore are scenes or estimators in the remarks.
             if !name.contains('_') {
                 continue;
             }
@@ -100,7 +101,7 @@ fn docs_name_real_tests() {
     }
     assert!(names.len() > 60, "only {} tests are named", names.len());
 
-    // And none of the paper's own tests goes unnamed.
+    // The page names every test of the paper.
     let own = std::fs::read_dir(workspace().join("tests/tests/paper")).unwrap();
     for file in own.map(|entry| entry.unwrap().path()) {
         for test in tests_in(&read(&file)) {
@@ -110,7 +111,7 @@ fn docs_name_real_tests() {
 }
 
 #[test]
-fn docs_name_real_code() {
+fn paper_page_names_existing_code() {
     let mut count = 0;
     for paragraph in paragraphs().iter().filter(|p| p.starts_with("**Implemented.**")) {
         for (name, file) in named(paragraph) {
@@ -122,7 +123,7 @@ fn docs_name_real_code() {
 }
 
 #[test]
-fn every_equation_is_printed_judged_implemented_and_tested() {
+fn every_equation_has_its_four_parts() {
     let paragraphs = paragraphs();
     let sections: Vec<_> = paragraphs.split(|p| p.starts_with('#')).collect();
     let titles = paragraphs.iter().filter(|p| p.starts_with('#'));
@@ -137,9 +138,9 @@ fn every_equation_is_printed_judged_implemented_and_tested() {
 }
 
 #[test]
-fn links_lead_somewhere() {
+fn paper_page_links_resolve() {
     let paragraphs = paragraphs();
-    // The anchor of a heading: lower case, no punctuation, hyphens for spaces.
+    // The anchor of a heading: lower case, without punctuation, hyphens for spaces.
     let anchors: BTreeSet<String> = paragraphs
         .iter()
         .filter_map(|p| p.strip_prefix('#').map(|p| p.trim_start_matches('#').trim()))
@@ -152,21 +153,24 @@ fn links_lead_somewhere() {
         for target in paragraph.split("](").skip(1).filter_map(|rest| rest.split_once(')')).map(|(t, _)| t) {
             match target.strip_prefix('#') {
                 Some(anchor) => assert!(anchors.contains(anchor), "no heading for #{anchor}"),
-                None => assert!(workspace().join("docs").join(target).exists(), "no file {target}"),
+                None => {
+                    let file = target.split('#').next().unwrap_or(target);
+                    assert!(workspace().join("docs").join(file).exists(), "no file {target}");
+                }
             }
         }
     }
 }
 
-/// A count with a comma before every three digits.
+/// Formats a count with a comma before every three digits.
 fn grouped(count: i64) -> String {
     if count < 1_000 { count.to_string() } else { format!("{},{:03}", grouped(count / 1_000), count % 1_000) }
 }
 
-/// Figures of the firmware on the pages are those that were last measured: `tests/image/budgets.toml` and
-/// `studies/src/cost/m4.toml`, which the tests of the images hold.
+/// Figures of the firmware on the pages are the last measured ones, in `tests/image/budgets.toml` and
+/// `studies/src/cost/m4.toml`, which the image tests check.
 #[test]
-fn figures_of_the_firmware_are_those_of_the_budgets() {
+fn firmware_figures_on_pages_equal_the_budgets() {
     let budgets: toml::Table = read(&workspace().join("tests/image/budgets.toml")).parse().unwrap();
     let last = |kind: &str, name: &str| budgets[kind][name][1].as_integer().unwrap();
     let instructions = |name: &str| grouped(last("instructions", name));
@@ -180,7 +184,7 @@ fn figures_of_the_firmware_are_those_of_the_budgets() {
             "README.md",
             &[
                 "9-axis update of `paper` takes {estimator paper 9-axis} instructions",
-                "ESCs' pulses {chain of paper} with it, {chain of flight} with `flight`",
+                "ESCs' pulses takes {chain of paper} with `paper` and {chain of flight} with `flight`",
                 "the whole firmware takes {sample to motors} instructions",
                 "takes {KiB flash} KiB of flash and {KiB static RAM} KiB of static RAM",
             ][..],
@@ -189,14 +193,14 @@ fn figures_of_the_firmware_are_those_of_the_budgets() {
             "docs/timing.md",
             &[
                 "| **{sample to motors}** |",
-                "instead of four products | 550 more: {4 DShot frames} for 60 |",
-                "a receiver frame's sticks, 250 and {sticks} instructions",
+                "instead of four products | 550 more: {4 DShot frames} instead of 60 |",
+                "conversion of a receiver frame to sticks takes {sticks}.",
                 "calibrated | {calibration of 3 sensors} | {calibration of 3 sensors} |",
                 "| 9 prefilters | {9 prefilters} | {9 prefilters} |",
                 "| attitude from 9 axes | {estimator paper 9-axis} | {estimator flight 9-axis} |",
                 "| control: angle and rate loops | {control} | {control} |",
                 "| mixer, ESC | {mixer and ESC} | {mixer and ESC} |",
-                "| **in sum** | **{chain of paper}** | **{chain of flight}** |",
+                "| **sum** | **{chain of paper}** | **{chain of flight}** |",
             ],
         ),
         (
@@ -204,8 +208,8 @@ fn figures_of_the_firmware_are_those_of_the_budgets() {
             &[
                 "| bench, stand, near hover | {estimator paper 9-axis} |",
                 "| comparison with the paper | {estimator paper 9-axis} |",
-                "what the scenes fly | {estimator flight 9-axis} |",
-                "that drifts; logs | {estimator robust 9-axis} |",
+                "flight; the default | {estimator flight 9-axis} |",
+                "that drifts; recordings | {estimator robust 9-axis} |",
             ],
         ),
         (
@@ -228,7 +232,7 @@ fn figures_of_the_firmware_are_those_of_the_budgets() {
                     _ => text + &instructions(part),
                 },
             });
-            assert!(text.contains(&expected), "{page} must say: {expected}");
+            assert!(text.contains(&expected), "{page}: must contain: {expected}");
         }
     }
 }

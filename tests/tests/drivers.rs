@@ -1,6 +1,6 @@
-//! The sensors' drivers against the chips, register by register, that `sim-host` plays.
+//! The sensors' drivers with the chips that `sim-host` simulates register by register.
 //!
-//! Register addresses and values are those of the datasheets, typed in once more.
+//! Register addresses and values are copied from the datasheets, independently of the drivers.
 
 use std::cell::Cell;
 use std::collections::VecDeque;
@@ -20,7 +20,7 @@ use sim_host::scene::{BUILT_IN, Scene};
 const MS: u64 = 1_000_000;
 const FOR_EVER: std::ops::Range<u64> = 0..u64::MAX;
 
-/// An inertial sample that tells its number, and whether all of it belongs to that number.
+/// Returns an inertial sample that encodes its number in all axes, so that a mixture of two samples is detected.
 fn numbered_imu(n: u16) -> ImuSample {
     let axis = |k: u16| (n.wrapping_mul(7).wrapping_add(k) & 0x3fff) as i16;
     ImuSample { gyro: [axis(1), axis(2), axis(3)], accel: [axis(4), axis(5), n as i16] }
@@ -34,7 +34,7 @@ fn numbered_mag(n: u16) -> [i32; 3] {
     [i32::from(n), -i32::from(n) - 1, i32::from(n) + 2]
 }
 
-/// A clock and an inertial sensor whose samples are numbered in the order in which they were taken.
+/// Returns a clock and an inertial sensor whose samples are numbered in order.
 fn imu_chip() -> (Clock, chips::icm42688p::Icm42688p) {
     let clock = Clock::default();
     let mut n = 0;
@@ -78,7 +78,7 @@ fn advance_to(clock: &Clock, at_ns: u64) {
     clock.advance_ns(at_ns - clock.now_ns());
 }
 
-/// A burst as a board does it, with an eye on the data-ready line.
+/// Reads a burst as the board does, with a check of the data-ready line.
 fn burst(
     chip: &chips::icm42688p::Icm42688p,
     imu: &mut Imu,
@@ -89,7 +89,7 @@ fn burst(
 }
 
 #[test]
-fn the_imu_is_set_up_as_its_datasheet_asks() {
+fn imu_registers_match_the_datasheet_after_setup() {
     let (clock, chip) = imu_chip();
     set_up_imu(&clock, &chip).unwrap();
     for (what, bank, address, value) in [
@@ -110,12 +110,13 @@ fn the_imu_is_set_up_as_its_datasheet_asks() {
     ] {
         assert_eq!(chip.register(bank, address), value, "{what}");
     }
-    // Ready after power-up and reset, nothing written while the mode changes or the sensors sample.
+    // No misuse: the driver waits after power-up and reset, and writes nothing while the mode changes or the sensors
+    // sample.
     assert_eq!(chip.misuse(), []);
 }
 
 #[test]
-fn the_magnetometer_is_set_up_as_its_datasheet_asks() {
+fn magnetometer_registers_match_the_datasheet_after_setup() {
     let (clock, chip) = mag_chip();
     set_up_mag(&clock, &chip).unwrap();
     assert_eq!(chip.register(0x09), 0x19, "mean of 512, ±8 G, 100 Hz, continuous");
@@ -124,7 +125,7 @@ fn the_magnetometer_is_set_up_as_its_datasheet_asks() {
 }
 
 #[test]
-fn an_imu_that_does_not_work_is_refused() {
+fn imu_setup_fails_with_the_error_of_each_fault() {
     use icm42688p::SetupError;
     let refused = |fault| {
         let (clock, chip) = imu_chip();
@@ -154,10 +155,10 @@ fn an_imu_that_does_not_work_is_refused() {
         (2, 0x05),
     ] {
         let stuck = Fault::StuckRegister { bank, address };
-        assert_eq!(refused(stuck), Some(SetupError::NotKept { bank, address }));
+        assert_eq!(refused(stuck), Some(SetupError::ReadbackMismatch { bank, address }));
     }
-    // A reset that the chip does not take: the register of the reset keeps nothing, and the flag was read
-    // away before.
+    // The chip ignores the reset: the reset register keeps nothing, and an earlier read has cleared the flag of the
+    // power-up reset.
     let (clock, chip) = imu_chip();
     clock.advance_ns(2 * MS);
     chip.clone().transfer_in_place(&mut [0x2d | 0x80, 0]).unwrap();
@@ -166,8 +167,9 @@ fn an_imu_that_does_not_work_is_refused() {
 }
 
 #[test]
-fn an_imu_that_comes_late_is_found() {
-    // The power comes after 1.5 s: the attempts before fail, the first six close together, and the next one succeeds.
+fn imu_powered_late_is_set_up() {
+    // Power comes after 1.5 s. The attempts before it fail; the first six are close together. The next attempt
+    // succeeds.
     let (clock, chip) = imu_chip();
     chip.inject(0..1_500 * MS, Fault::NoPower);
     let mut setup = icm42688p::Setup::new(0);
@@ -186,12 +188,12 @@ fn an_imu_that_comes_late_is_found() {
     let (close, far) = pauses_us.split_at(5);
     assert!(close.iter().all(|us| (7_000..=8_000).contains(us)), "{failures_us:?}");
     assert!(far.len() == 9 && far.iter().all(|us| (152_000..=153_000).contains(us)), "{failures_us:?}");
-    assert!(clock.now_ns() < 1_500 * MS + 215 * MS, "150 ms to the next attempt, and 60 ms for it");
+    assert!(clock.now_ns() < 1_500 * MS + 215 * MS, "at most 150 ms to the next attempt and 60 ms for it");
     assert_eq!(chip.misuse(), []);
 }
 
 #[test]
-fn an_imu_that_never_comes_is_looked_for_once_a_second_after_the_first_attempts() {
+fn absent_imu_is_retried_once_a_second_after_20_attempts() {
     let (clock, chip) = imu_chip();
     chip.inject(FOR_EVER, Fault::NoPower);
     let mut setup = icm42688p::Setup::new(0);
@@ -201,14 +203,15 @@ fn an_imu_that_never_comes_is_looked_for_once_a_second_after_the_first_attempts(
         failures += u32::from(matches!(step, icm42688p::Progress::Failed(_)));
         clock.advance_ns(MS);
     }
-    // Twenty in the first 2.2 s, and one in each of the seconds after that.
+    // Twenty attempts in the first 2.2 s, then one a second.
     assert!((37..=38).contains(&failures), "{failures}");
     assert_eq!(setup.attempt(), failures + 1);
 }
 
 #[test]
-fn an_imu_whose_data_ready_line_is_broken_is_refused() {
-    for (kind, edges_per_ms) in [("still", 0), ("half the rate", 1), ("twice the rate", 4), ("noise", 1_000)]
+fn imu_setup_fails_with_a_broken_data_ready_line() {
+    for (kind, edges_per_ms) in
+        [("no edges", 0), ("half the rate", 1), ("twice the rate", 4), ("noise", 1_000)]
     {
         let (clock, chip) = imu_chip();
         let edges = || (clock.now_ns() / (MS / 2) * edges_per_ms / 4) as u32;
@@ -218,7 +221,7 @@ fn an_imu_whose_data_ready_line_is_broken_is_refused() {
 }
 
 #[test]
-fn a_magnetometer_that_does_not_work_is_refused() {
+fn magnetometer_setup_fails_with_the_error_of_each_fault() {
     use qmc5883l::SetupError;
     let refused = |fault| {
         let (clock, chip) = mag_chip();
@@ -235,11 +238,11 @@ fn a_magnetometer_that_does_not_work_is_refused() {
     }
     for address in [0x09, 0x0b] {
         let stuck = Fault::StuckRegister { bank: 0, address };
-        assert_eq!(refused(stuck), Some(SetupError::NotKept(address)));
+        assert_eq!(refused(stuck), Some(SetupError::ReadbackMismatch(address)));
     }
 }
 
-/// The samples that the flight controller got in the first seconds of the scene `hover`.
+/// The samples that the flight controller received in the first seconds of the scene `hover`.
 #[derive(Default)]
 struct Recording {
     imu: VecDeque<ImuSample>,
@@ -263,11 +266,11 @@ fn hover() -> Recording {
 }
 
 #[test]
-fn a_flights_samples_come_through_chip_and_driver_bit_for_bit() {
+fn flight_samples_pass_chip_and_driver_bit_for_bit() {
     let Recording { imu: recorded, mag: recorded_mag } = hover();
     assert!(recorded.len() == 5_000 && recorded_mag.len() == 500);
 
-    // The chip starts at once; the driver comes when 50 ms of samples are gone.
+    // The chip samples from the start. The driver's setup takes 50 ms, so the first 50 ms of samples are lost.
     let clock = Clock::default();
     let taken = Rc::new(Cell::new(0));
     let (counter, samples) = (taken.clone(), recorded.clone());
@@ -292,27 +295,27 @@ fn a_flights_samples_come_through_chip_and_driver_bit_for_bit() {
     let mut mag = set_up_mag(&clock, &chip).unwrap();
     for sample in recorded_mag {
         advance_to(&clock, chip.next_sample_ns().unwrap() - MS);
-        assert_eq!(mag.sample(), Ok(None), "not yet");
+        assert_eq!(mag.sample(), Ok(None), "no new sample yet");
         clock.advance_ns(2 * MS);
         assert_eq!(mag.sample(), Ok(Some(sample)));
-        assert_eq!(mag.sample(), Ok(None), "not twice");
+        assert_eq!(mag.sample(), Ok(None), "the same sample is not delivered twice");
     }
 }
 
 #[test]
-fn a_saturated_axis_is_a_sample() {
+fn saturated_axis_is_a_valid_sample() {
     let clock = Clock::default();
     let ends = ImuSample { gyro: [i16::MIN, 0, i16::MAX], accel: [i16::MAX, 1, i16::MIN] };
     let chip = chips::icm42688p::Icm42688p::new(&clock, Box::new(move |_| ends));
     let mut imu = set_up_imu(&clock, &chip).unwrap();
     advance_to(&clock, chip.next_sample_ns().unwrap());
-    // The chip's own range ends at −32,766: what is below means that there is no measurement.
+    // The chip's range ends at −32,766; lower values mean that there is no measurement.
     let saturated = ImuSample { gyro: [-32_766, 0, 32_767], accel: [32_767, 1, -32_766] };
     assert_eq!(burst(&chip, &mut imu), Ok(Ok(saturated)));
 }
 
 #[test]
-fn the_data_ready_line_rises_with_each_sample() {
+fn data_ready_line_rises_with_each_sample() {
     let (clock, chip) = imu_chip();
     set_up_imu(&clock, &chip).unwrap();
     let before = chip.data_ready_edges();
@@ -322,7 +325,7 @@ fn the_data_ready_line_rises_with_each_sample() {
 
 #[test]
 fn adaptive_full_scale_repeats_samples_unless_it_is_off() {
-    // From 0 to 150 °/s and back every 20 ms, with every sample different.
+    // Changes between 0 and 150 °/s every 20 ms, and every sample is different.
     let shaken = || {
         let clock = Clock::default();
         let source = |at_ns: u64| {
@@ -345,13 +348,13 @@ fn adaptive_full_scale_repeats_samples_unless_it_is_off() {
     let (clock, chip) = shaken();
     let mut imu = set_up_imu(&clock, &chip).unwrap();
     assert_eq!(repeats(&clock, &chip, &mut imu), 0);
-    // Back to what a reset leaves in INTF_CONFIG1.
+    // Write the reset value of INTF_CONFIG1.
     chip.clone().write(&[0x4d, 0x91]).unwrap();
     assert!(repeats(&clock, &chip, &mut imu) >= 5);
 }
 
 #[test]
-fn each_fault_of_the_imu_has_its_error() {
+fn imu_read_fails_with_the_error_of_each_fault() {
     let (clock, chip) = imu_chip();
     let mut imu = set_up_imu(&clock, &chip).unwrap();
     let mut next = || {
@@ -378,10 +381,10 @@ fn each_fault_of_the_imu_has_its_error() {
     next().unwrap().unwrap();
 
     chip.inject(during(3), Fault::NoPower);
-    assert_eq!(next(), Ok(Err(FrameError::NoAnswer)), "no supply");
+    assert_eq!(next(), Ok(Err(FrameError::NoAnswer)), "supply off");
     clock.advance_ns(4 * MS);
-    assert_eq!(next(), Ok(Err(FrameError::Reset)), "the supply is back");
-    assert_eq!(next(), Ok(Err(FrameError::NoData)), "and nobody has set the chip up");
+    assert_eq!(next(), Ok(Err(FrameError::Reset)), "supply on again");
+    assert_eq!(next(), Ok(Err(FrameError::NoData)), "the chip is not set up");
 
     let mut imu = set_up_imu(&clock, &chip).unwrap();
     advance_to(&clock, chip.next_sample_ns().unwrap());
@@ -391,22 +394,22 @@ fn each_fault_of_the_imu_has_its_error() {
 }
 
 #[test]
-fn a_sample_that_lands_in_a_burst_tears_it() {
+fn imu_sample_during_a_burst_is_reported_as_torn() {
     let (clock, chip) = imu_chip();
     let mut imu = set_up_imu(&clock, &chip).unwrap();
     let mut torn = 0;
-    // Bursts of 12 µs that begin from 20 µs before a sample to 5 µs after it.
+    // Bursts of 12 µs that start from 20 µs before a sample to 5 µs after it.
     for early_ns in (0..=20_000).step_by(100) {
         advance_to(&clock, chip.next_sample_ns().unwrap());
         advance_to(&clock, chip.next_sample_ns().unwrap() - early_ns);
         let before = chip.data_ready_edges();
         let frame = imu.read_frame().unwrap();
         let risen = chip.data_ready_edges() != before;
-        // Without an eye on the line it would pass.
+        // Without the check of the line the torn frame would be accepted.
         let sample = icm42688p::decode(&frame, false).unwrap();
-        let whole = sample == numbered_imu(number(sample));
-        assert!(whole || risen);
-        if !whole {
+        let consistent = sample == numbered_imu(number(sample));
+        assert!(consistent || risen);
+        if !consistent {
             assert_eq!(icm42688p::decode(&frame, risen), Err(FrameError::Torn));
             torn += 1;
         }
@@ -415,7 +418,7 @@ fn a_sample_that_lands_in_a_burst_tears_it() {
 }
 
 #[test]
-fn each_fault_of_the_magnetometer_has_its_error() {
+fn magnetometer_read_fails_with_the_error_of_each_fault() {
     let (clock, chip) = mag_chip();
     let mut mag = set_up_mag(&clock, &chip).unwrap();
     let nack = Err(SampleError::Bus(i2c::ErrorKind::NoAcknowledge(NoAcknowledgeSource::Address)));
@@ -425,7 +428,7 @@ fn each_fault_of_the_magnetometer_has_its_error() {
     clock.advance_ns(10 * MS);
     assert_eq!(mag.sample(), Ok(Some(newest())));
     clock.advance_ns(30 * MS);
-    assert_eq!(mag.sample(), Err(SampleError::Skipped(newest())), "two were lost");
+    assert_eq!(mag.sample(), Err(SampleError::Skipped(newest())), "two samples were lost");
     assert_eq!(mag.sample(), Ok(None));
 
     clock.advance_ns(10 * MS);
@@ -438,13 +441,9 @@ fn each_fault_of_the_magnetometer_has_its_error() {
     assert_eq!(mag.sample(), nack);
     clock.advance_ns(5 * MS);
     chip.inject(during(5), Fault::NoAnswer { reads: 0x00 });
-    assert_eq!(
-        mag.sample(),
-        Err(SampleError::SettingLost),
-        "a line that is low acknowledges, and reads zero"
-    );
+    assert_eq!(mag.sample(), Err(SampleError::SettingLost), "a line stuck low acknowledges and reads zero");
     clock.advance_ns(5 * MS);
-    // The line goes low, or the supply goes, between the status, which is read after 160 µs, and the data.
+    // The line goes low, or the supply fails, between the status, which is read after 160 µs, and the data.
     for (after_us, fault) in [(150, Fault::NoAnswer { reads: 0x00 }), (300, Fault::NoPower)] {
         mag.sample().ok();
         clock.advance_ns(10 * MS);
@@ -474,7 +473,7 @@ fn each_fault_of_the_magnetometer_has_its_error() {
 }
 
 #[test]
-fn a_field_beyond_the_range_is_no_sample() {
+fn magnetic_field_beyond_the_range_is_an_overflow_error() {
     let clock = Clock::default();
     let mut n = 0;
     let source = move |_| {
@@ -485,20 +484,20 @@ fn a_field_beyond_the_range_is_no_sample() {
     let mut mag = set_up_mag(&clock, &chip).unwrap();
     clock.advance_ns(10 * MS);
     assert_eq!(mag.sample(), Err(SampleError::Overflow));
-    assert_eq!(mag.sample(), Ok(None), "it has made room for the next");
+    assert_eq!(mag.sample(), Ok(None), "the overflow was read and cleared");
     clock.advance_ns(10 * MS);
     assert_eq!(mag.sample(), Ok(Some(MagSample { counts: [0, 32_767, -32_768] })));
 }
 
 #[test]
-fn a_sample_that_lands_while_the_one_before_is_read_is_reported_as_lost() {
+fn magnetometer_sample_lost_during_a_read_is_reported() {
     let (clock, chip) = mag_chip();
     let mut mag = set_up_mag(&clock, &chip).unwrap();
     clock.advance_ns(10 * MS);
     let first = chip.latest().unwrap();
-    // Between the status, which is read by then, and the end of the data.
+    // The new sample comes between the read of the status and the end of the data.
     advance_to(&clock, chip.next_sample_ns().unwrap() - 280_000);
-    assert_eq!(mag.sample(), Ok(Some(first)), "data protection keeps it whole");
+    assert_eq!(mag.sample(), Ok(Some(first)), "the chip's data protection keeps the sample consistent");
     assert_eq!(mag.sample(), Ok(None));
     clock.advance_ns(10 * MS);
     assert_eq!(mag.sample(), Err(SampleError::Skipped(chip.latest().unwrap())));
@@ -513,17 +512,17 @@ fn fault() -> impl Strategy<Value = Fault> {
     ]
 }
 
-/// Up to six faults within `within_ns`, each of up to a tenth of it.
+/// Generates up to six faults within `within_ns`, each at most a tenth of it long.
 fn schedule(within_ns: u64) -> impl Strategy<Value = Vec<(u64, u64, Fault)>> {
     prop::collection::vec((0..within_ns, 1..within_ns / 10, fault()), 0..6)
 }
 
 proptest! {
-    // A failure prints its smallest input; there is no file of old ones.
+    // A failure prints its smallest input; failures are not stored in a file.
     #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::default() })]
 
     #[test]
-    fn whatever_happens_an_imu_sample_is_one_that_the_chip_took(
+    fn random_faults_never_give_a_false_imu_sample(
         faults in schedule(100 * MS),
         waits_ns in prop::collection::vec(0..1_500_000u64, 100),
     ) {
@@ -538,8 +537,8 @@ proptest! {
             clock.advance_ns(wait_ns);
             match burst(&chip, &mut imu) {
                 Ok(Ok(sample)) => {
-                    // Whole, not one that was handed out before, and the newest that there is, unless the
-                    // supply went between the last byte and now.
+                    // The sample is consistent, newer than the one before, and the newest of the chip, unless the
+                    // supply failed between the last byte and now.
                     prop_assert_eq!(sample, numbered_imu(number(sample)));
                     prop_assert!(chip.latest().is_none_or(|latest| latest == sample));
                     prop_assert!(Some(number(sample)) > last);
@@ -556,7 +555,7 @@ proptest! {
     }
 
     #[test]
-    fn whatever_happens_a_magnetometer_sample_is_one_that_the_chip_took(
+    fn random_faults_never_give_a_false_magnetometer_sample(
         faults in schedule(1_000 * MS),
         waits_ns in prop::collection::vec(0..15 * MS, 100),
     ) {

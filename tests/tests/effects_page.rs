@@ -1,11 +1,11 @@
-//! `docs/effects.md` against the program: it has a row for every effect, in order, with every key.
+//! `docs/effects.md` against the program: the page has a row for every effect, in order, with every key.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use sim_host::scene::{BUILT_IN, Scene};
 
-/// The shortest scene that there is.
+/// The shortest valid scene.
 const BARE: &str = "[scene]\nduration_s = 1.0\nseed = 1\nvehicle = \"os4\"\nimu = \"paper\"\n";
 
 fn workspace() -> PathBuf {
@@ -17,7 +17,7 @@ fn page() -> String {
     std::fs::read_to_string(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
 }
 
-/// Every effect, in order of application.
+/// Returns every effect, in order of application.
 fn every_effect() -> Vec<&'static str> {
     let text = include_str!("../../sim-host/benches/every_effect.toml");
     let scene = Scene::parse("every_effect.toml", text).expect("a valid scene");
@@ -25,32 +25,33 @@ fn every_effect() -> Vec<&'static str> {
     scene.effects()
 }
 
-/// The rows of the page's tables that are about an effect: its name, and the row.
+/// Returns the table rows about effects: the name and the row.
 fn rows(text: &str) -> Vec<(&str, &str)> {
     let row = |line| Some((str::split_once(str::strip_prefix(line, "| `")?, "` |")?.0, line));
     text.lines().filter_map(row).collect()
 }
 
-/// The section with one row for each effect.
+/// Returns the section with one row for each effect.
 fn section(page: &str) -> &str {
     let (_, from) = page.split_once("\n## The effects\n").expect("the section of the effects");
-    from.split_once("\n## ").expect("a section behind it").0
+    from.split_once("\n## ").expect("a section after it").0
 }
 
-/// What is in backticks.
+/// Returns the texts in backticks.
 fn quoted(text: &str) -> impl Iterator<Item = &str> {
     text.split('`').skip(1).step_by(2)
 }
 
-/// The keys that the table behind `header` takes, as the program lists them when it is given another.
+/// Returns the keys of a scene table, as the error for an unknown key lists them.
 fn keys(header: &str) -> BTreeSet<String> {
-    let said = Scene::parse("bare", &format!("{BARE}{header}\nno_such_key = 1\n")).unwrap_err().to_string();
-    assert!(said.contains("unknown field `no_such_key`"), "{header}: {said}");
-    quoted(&said).filter(|key| *key != "no_such_key").map(str::to_owned).collect()
+    let message =
+        Scene::parse("bare", &format!("{BARE}{header}\nno_such_key = 1\n")).unwrap_err().to_string();
+    assert!(message.contains("unknown field `no_such_key`"), "{header}: {message}");
+    quoted(&message).filter(|key| *key != "no_such_key").map(str::to_owned).collect()
 }
 
 #[test]
-fn every_effect_has_its_row_in_order_and_no_other_has_one() {
+fn effects_table_has_exactly_the_effects_in_order() {
     let page = page();
     let named: Vec<&str> = rows(section(&page)).into_iter().map(|(name, _)| name).collect();
     assert_eq!(named, every_effect());
@@ -62,12 +63,12 @@ fn every_effect_has_its_row_in_order_and_no_other_has_one() {
         assert_eq!(all, exist, "{}", built_in.name);
     }
     for (name, _) in rows(&page) {
-        assert!(exist.contains(name), "there is no {name}");
+        assert!(exist.contains(name), "unknown effect {name}");
     }
 }
 
 #[test]
-fn every_key_stands_in_the_row_of_its_effect() {
+fn every_effect_row_lists_its_keys() {
     let page = page();
     let mut count = 0;
     for (name, row) in rows(section(&page)).into_iter().filter(|(name, _)| !name.starts_with("fault.")) {
@@ -84,9 +85,9 @@ fn every_key_stands_in_the_row_of_its_effect() {
     }
 }
 
-/// The scenes of the ablations name what their tables leave out, and nothing more.
+/// The ablation tables list exactly the effects of their scenes.
 #[test]
-fn ablations_leave_out_what_their_scenes_name() {
+fn ablation_tables_list_the_effects_of_their_scenes() {
     let page = page();
     let mut scenes = 0;
     for built_in in BUILT_IN {
@@ -100,7 +101,7 @@ fn ablations_leave_out_what_their_scenes_name() {
 }
 
 #[test]
-fn footnotes_and_links_lead_somewhere() {
+fn footnotes_and_links_resolve() {
     let page = page();
     let notes = |text: &str| -> BTreeSet<String> {
         text.split("[^")
@@ -118,7 +119,7 @@ fn footnotes_and_links_lead_somewhere() {
         .collect();
     assert_eq!(notes(&text.join("\n")), definitions);
 
-    // The anchor of a heading: lower case, no punctuation, hyphens for spaces.
+    // The anchor of a heading: lower case, without punctuation, hyphens for spaces.
     let anchors: BTreeSet<String> = page
         .lines()
         .filter_map(|line| line.strip_prefix('#').map(|title| title.trim_start_matches('#').trim()))

@@ -18,7 +18,7 @@ fn patches() -> Vec<PathBuf> {
     paths.filter(|path| path.extension().is_some_and(|extension| extension == "patch")).collect()
 }
 
-/// All Rust below a folder.
+/// Returns all Rust sources below a folder.
 fn sources(folder: &Path) -> String {
     let entries = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
     let of = |path: PathBuf| match path.extension() {
@@ -29,7 +29,7 @@ fn sources(folder: &Path) -> String {
     entries.map(of).collect()
 }
 
-/// The cells of the page's tables, a row each, without headings.
+/// Returns the cells of the page's tables by row, without headings.
 fn rows() -> Vec<Vec<String>> {
     let page = read(&workspace().join("docs/hard-cases.md"));
     let cells = |line: &str| line.trim_matches('|').split('|').map(|cell| cell.trim().to_owned()).collect();
@@ -38,12 +38,12 @@ fn rows() -> Vec<Vec<String>> {
 }
 
 #[test]
-fn every_case_names_tests_and_protections_that_there_are() {
+fn every_case_names_existing_tests_and_protections() {
     let mut protections = BTreeSet::new();
     let rows = rows();
     assert!(rows.len() > 35, "{} cases", rows.len());
     for row in &rows {
-        let [case, why, bound, tested, taken_out] = &row[..] else { panic!("{row:?} has not five cells") };
+        let [case, why, bound, tested, taken_out] = &row[..] else { panic!("{row:?}: must have five cells") };
         assert!(!why.is_empty() && !bound.is_empty(), "{case}");
         let mut tests = 0;
         for link in tested.split("[`").skip(1) {
@@ -51,14 +51,14 @@ fn every_case_names_tests_and_protections_that_there_are() {
             let file = workspace().join("docs").join(rest.split_once(')').unwrap().0);
             let source = read(&file);
             let at = source.find(&format!("fn {name}(")).unwrap_or_else(|| panic!("{case}: no {name}"));
-            // A property's attribute stands a line higher.
+            // The attribute of a property test stands a line higher.
             let before = &source[at.saturating_sub(200)..at];
-            assert!(before.contains("#[test]"), "{case}: {name} is no test");
+            assert!(before.contains("#[test]"), "{case}: {name} is not a test");
             tests += 1;
         }
         assert!(tests > 0, "{case} has no test");
         let named: Vec<_> = taken_out.split('`').skip(1).step_by(2).map(str::to_owned).collect();
-        // Of the others the page says so.
+        // Cases without a protection say "nothing to protect".
         assert_eq!(named.is_empty(), bound.contains("nothing to protect"), "{case}: {taken_out}");
         protections.extend(named);
     }
@@ -68,8 +68,8 @@ fn every_case_names_tests_and_protections_that_there_are() {
 }
 
 #[test]
-fn every_protection_can_still_be_taken_out_and_names_a_test_that_there_is() {
-    // What a patch names is the beginning of a test's name, or of its module's.
+fn every_protection_patch_applies_and_names_a_test() {
+    // A patch names the start of a test's name, or a module.
     let sources: String = ["tests/tests", "tests/support", "flight-core", "sim-host/src"]
         .map(|folder| sources(&workspace().join(folder)))
         .concat();

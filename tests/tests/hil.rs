@@ -1,8 +1,8 @@
-//! The firmware's image flies on QEMU's STM32F405, with `sim-host` for its world: through the real arming path, judged
-//! on the truth, and bit for bit as in this process.
+//! Hardware in the loop on QEMU: the firmware's image flies on an emulated STM32F405, with `sim-host` as its world,
+//! through the real arming path, judged on the truth, and compared bit for bit with the flight in process.
 //!
-//! Each flight is flown twice, and where nothing is done to the link it is compared with the one in process: by every
-//! word that the flight code says (pulses, whether they are driven, state, event, attitude) and by the digest of truth
+//! Each flight is flown twice. Flights without faults on the link are also compared with the flight in process: every
+//! word that the flight code outputs (pulses, whether they are driven, state, event, attitude) and the digest of truth
 //! and pulses.
 
 use std::fs::File;
@@ -17,16 +17,16 @@ use std::time::{Duration, Instant};
 use flight_core::ArmState::{self, Armed, Arming, Descent, Disarmed, Terminated};
 use flight_core::arming::{Cause, Event};
 use sim_host::flight::{Flight, Observer, Outcome, StepView};
-use sim_host::hil::{self, Account, Faults, Flown, LinkError, Qemu, Received, Reset, Serial};
+use sim_host::hil::{self, Faults, Flown, LinkError, Qemu, QemuExit, Received, Reset, Serial};
 use sim_host::scene::Scene;
 
-/// The image whose link is QEMU's pipes, built once.
+/// Returns the image whose link is QEMU's pipes. It is built once.
 fn image() -> &'static Path {
     static BUILT: OnceLock<PathBuf> = OnceLock::new();
     BUILT.get_or_init(|| hil::build(hil::PIPES).unwrap())
 }
 
-/// Every word that the flight code says, step by step, and the events among them.
+/// Every word that the flight code outputs, step by step, and the events among them.
 #[derive(Default, PartialEq)]
 struct Words {
     steps: Vec<[u32; 11]>,
@@ -45,28 +45,28 @@ impl Observer for Words {
 }
 
 impl Words {
-    /// What happened after arming: when, to which state, and why.
+    /// Returns the events after arming: time, s, new state and cause.
     fn after_arming(&self) -> Vec<(f64, ArmState, Cause)> {
         let flown = self.events.iter().skip_while(|(_, event)| event.to != Armed).skip(1);
         flown.map(|(time_s, event)| (*time_s, event.to, event.cause)).collect()
     }
 }
 
-/// Flies a scene twice, and compares every word.
-fn on_qemu(scene: &Scene, faults: Faults) -> (Flown, Words, Account) {
-    let (again, words_again, _) = once_on_qemu(scene, faults.clone());
-    let (flown, words, account) = once_on_qemu(scene, faults);
+/// Flies a scene twice on QEMU, and checks that every word is the same.
+fn fly_twice_on_qemu(scene: &Scene, faults: Faults) -> (Flown, Words, QemuExit) {
+    let (again, words_again, _) = fly_once_on_qemu(scene, faults.clone());
+    let (flown, words, exit) = fly_once_on_qemu(scene, faults);
     assert_eq!((&again.outcome, &again.report), (&flown.outcome, &flown.report), "{}", scene.name);
     assert!(words_again == words, "{}: another flight", scene.name);
-    (flown, words, account)
+    (flown, words, exit)
 }
 
-fn once_on_qemu(scene: &Scene, faults: Faults) -> (Flown, Words, Account) {
+fn fly_once_on_qemu(scene: &Scene, faults: Faults) -> (Flown, Words, QemuExit) {
     let mut qemu = Qemu::start(image()).unwrap();
     let mut words = Words::default();
     let flown = hil::fly(&mut qemu, scene, scene.seed, faults, Arc::default(), &mut words);
-    let account = qemu.end();
-    (flown, words, account)
+    let exit = qemu.end();
+    (flown, words, exit)
 }
 
 fn in_process(scene: &Scene) -> (Outcome, Words) {
@@ -75,28 +75,28 @@ fn in_process(scene: &Scene) -> (Outcome, Words) {
     (outcome, words)
 }
 
-/// Flies a scene on both, and compares every word.
-fn the_same_on_both(scene: &Scene) -> (Outcome, Words) {
+/// Flies a scene on QEMU and in process, and checks that every word is the same.
+fn assert_equal_on_qemu_and_in_process(scene: &Scene) -> (Outcome, Words) {
     let start = Instant::now();
-    let (Flown { outcome, ended, report }, words, account) = on_qemu(scene, Faults::default());
+    let (Flown { outcome, ended, report }, words, exit) = fly_twice_on_qemu(scene, Faults::default());
     let wall_s = start.elapsed().as_secs_f64() / 2.0;
     let name = &scene.name;
-    assert!(ended.is_ok() && account.is_success(), "{name}: {ended:?} {account:?}");
+    assert!(ended.is_ok() && exit.is_success(), "{name}: {ended:?} {exit:?}");
     assert!(report.is_clean() && report.missed_deadlines == 0, "{name}: {report:?}");
-    assert_eq!(account.unmodelled, [""; 0], "{name}");
+    assert_eq!(exit.unmodelled, [""; 0], "{name}");
     let (outcome_here, here) = in_process(scene);
     for (board, host) in words.steps.iter().zip(&here.steps) {
-        assert_eq!(board, host, "{name}: the board's words, and the host's");
+        assert_eq!(board, host, "{name}: words of the board and of the host");
     }
     assert_eq!((&outcome, &words.events), (&outcome_here, &here.events), "{name}");
     println!(
-        "{name}: {} steps are the same, digest {:016x}; {:.1} × real time; {:.0} instructions from sample to motors, \
+        "{name}: {} steps are equal, digest {:016x}; {:.1} × real time; {:.0} instructions from sample to motors, \
          at most {}",
         outcome.control_steps,
         outcome.digest,
         outcome.flown_s() / wall_s,
         report.mean_instructions().unwrap(),
-        report.most_instructions,
+        report.max_instructions,
     );
     (outcome, words)
 }
@@ -105,35 +105,35 @@ fn scene(name: &str) -> Scene {
     Scene::load(name).unwrap()
 }
 
-/// The hover scene with these tables on top.
+/// Returns the scene `hover` with these tables added.
 fn hover_with(tables: &str) -> Scene {
     Scene::parse("altered", &format!("include = \"hover\"\n{tables}")).unwrap()
 }
 
 #[test]
 #[ignore = "needs qemu-system-arm"]
-fn flights_on_the_board_equal_those_in_process_bit_for_bit() {
+fn hil_flights_equal_in_process_flights_bit_for_bit() {
     for name in ["hover", "steps", "windy-landing"] {
         let scene = scene(name);
-        let (outcome, _) = the_same_on_both(&scene);
+        let (outcome, _) = assert_equal_on_qemu_and_in_process(&scene);
         assert_eq!((outcome.crash, outcome.final_state), (None, Disarmed), "{name}: {outcome:?}");
     }
 }
 
 #[test]
 #[ignore = "needs qemu-system-arm"]
-fn samples_that_come_late_or_not_at_all_are_the_same_on_the_board() {
+fn hil_equals_in_process_with_late_and_lost_samples() {
     for name in ["bad-link", "rough-sampling", "whole-drive"] {
-        the_same_on_both(&scene(name));
+        assert_equal_on_qemu_and_in_process(&scene(name));
     }
 }
 
 #[test]
 #[ignore = "needs qemu-system-arm"]
-fn whatever_fails_in_flight_ends_on_the_board_in_the_state_that_the_page_promises() {
+fn hil_failures_in_flight_end_in_the_documented_state() {
     let fault = |text: &str| hover_with(&format!("[[fault]]\nat_s = 15.0\n{text}"));
     let stuck = "kind = \"stuck_axis\"\nsensor = \"gyro\"\naxis = \"y\"\n";
-    // Enough to arm with, and half a minute's worth.
+    // A charge that is enough to arm, and lasts for half a minute.
     let weak = hover_with(
         "[effects.vehicle.battery_sag]\ncells = 3\ncapacity_mah = 400.0\nresistance_mohm = 60.0\n\
          efficiency = 0.6\ncharge = 0.06\n",
@@ -157,7 +157,7 @@ fn whatever_fails_in_flight_ends_on_the_board_in_the_state_that_the_page_promise
         ("axis stuck", fault(stuck), Terminated, Cause::ImuStuck, Some(15.1)),
         ("battery critical", weak, Descent, Cause::BatteryCritical, None),
     ] {
-        let (_, words) = the_same_on_both(&scene);
+        let (_, words) = assert_equal_on_qemu_and_in_process(&scene);
         let (at_s, to, why) = words.after_arming()[0];
         println!("{what}: {} after {at_s:.3} s, {}", to.name(), why.text());
         assert_eq!((to, why), (state, cause), "{what}");
@@ -166,29 +166,29 @@ fn whatever_fails_in_flight_ends_on_the_board_in_the_state_that_the_page_promise
 }
 
 fn held_back(us: Range<u64>) -> Faults {
-    Faults { held_back_us: us, ..Faults::default() }
+    Faults { dropped_us: us, ..Faults::default() }
 }
 
-/// Frames that both sides miss.
+/// The counters of a side that has missed this many frames.
 fn lost(frames: u32) -> Received {
     Received { lost: frames, ..Received::default() }
 }
 
 #[test]
 #[ignore = "needs qemu-system-arm"]
-fn late_frames_are_noticed_by_the_time_that_they_take() {
-    // A twentieth of a second: it flies on.
-    let (Flown { outcome, ended, report }, words, account) =
-        on_qemu(&scene("hover"), held_back(15_000_000..15_050_000));
-    assert!(ended.is_ok() && account.is_success(), "{ended:?}");
+fn hil_link_gap_over_half_a_second_is_link_loss() {
+    // A gap of 0.05 s: the flight continues.
+    let (Flown { outcome, ended, report }, words, exit) =
+        fly_twice_on_qemu(&scene("hover"), held_back(15_000_000..15_050_000));
+    assert!(ended.is_ok() && exit.is_success(), "{ended:?}");
     assert_eq!((report.to_board, report.to_host), (lost(50), lost(50)));
     assert_eq!((outcome.crash, outcome.final_state), (None, Disarmed));
     assert!(matches!(words.after_arming()[..], [(_, Disarmed, Cause::Pilot)]), "{:?}", words.events);
 
-    // More than half a second: the link to the pilot is lost, and found again.
-    let (Flown { outcome, ended, report }, words, account) =
-        on_qemu(&scene("hover"), held_back(15_000_000..15_600_000));
-    assert!(ended.is_ok() && account.is_success(), "{ended:?}");
+    // A gap of more than 0.5 s: the link to the pilot is lost, and recovers.
+    let (Flown { outcome, ended, report }, words, exit) =
+        fly_twice_on_qemu(&scene("hover"), held_back(15_000_000..15_600_000));
+    assert!(ended.is_ok() && exit.is_success(), "{ended:?}");
     assert_eq!((report.to_board, report.to_host), (lost(600), lost(600)));
     let [(lost_s, Descent, Cause::RcLost), (back_s, Armed, Cause::RcBack), (_, Disarmed, Cause::Pilot)] =
         words.after_arming()[..]
@@ -201,33 +201,34 @@ fn late_frames_are_noticed_by_the_time_that_they_take() {
 
 #[test]
 #[ignore = "needs qemu-system-arm"]
-fn a_board_that_is_not_fed_frames_is_reset_by_its_watchdog_into_terminated() {
+fn hil_without_frames_the_watchdog_resets_into_terminated() {
     let mut scene = scene("static");
     scene.set_duration(20.0).unwrap();
-    let (Flown { outcome, ended, report }, _, account) = on_qemu(&scene, held_back(3_000_000..4_500_000));
-    assert!(ended.is_ok() && account.is_success(), "{ended:?}");
-    // Once: from then on it is fed again.
+    let (Flown { outcome, ended, report }, _, exit) =
+        fly_twice_on_qemu(&scene, held_back(3_000_000..4_500_000));
+    assert!(ended.is_ok() && exit.is_success(), "{ended:?}");
+    // One reset: afterwards frames arrive again.
     assert_eq!(report.resets, [Reset { time_us: 4_500_000, by_watchdog: true }]);
     assert_eq!(outcome.final_state, Terminated);
 }
 
 #[test]
 #[ignore = "needs qemu-system-arm"]
-fn a_flipped_bit_in_every_thousandth_frame_is_counted_and_keeps_the_vehicle_on_the_ground() {
+fn hil_bit_flips_are_counted_and_prevent_arming() {
     let faults = Faults { flip_bit_every: NonZeroU32::new(1_000), ..Faults::default() };
-    let (Flown { outcome, ended, report }, words, account) = on_qemu(&scene("hover"), faults);
-    assert!(ended.is_ok() && account.is_success(), "{ended:?}");
+    let (Flown { outcome, ended, report }, words, exit) = fly_twice_on_qemu(&scene("hover"), faults);
+    assert!(ended.is_ok() && exit.is_success(), "{ended:?}");
     assert!(!report.is_clean());
     assert_eq!((outcome.control_steps, outcome.crash), (30_000, None));
     assert!((30..35).contains(&report.to_board.corrupt), "{report:?}");
-    // The firmware sees a deadline missed every second, and does not arm.
+    // The firmware counts a missed deadline every second and does not arm.
     let [(_, Event { from: Disarmed, to: Disarmed, cause: Cause::Overload })] = words.events[..] else {
         panic!("{:?}", words.events)
     };
 
-    // Rarely enough, it arms and flies: each costs a sample.
+    // With rare bit flips it arms and flies; each flip costs one sample.
     let faults = Faults { flip_bit_every: NonZeroU32::new(4_999), ..Faults::default() };
-    let (Flown { outcome, ended, report }, words, _) = on_qemu(&scene("hover"), faults);
+    let (Flown { outcome, ended, report }, words, _) = fly_twice_on_qemu(&scene("hover"), faults);
     assert!(ended.is_ok(), "{ended:?}");
     assert_eq!((outcome.crash, outcome.final_state), (None, Disarmed), "{report:?}");
     assert!((6..=8).contains(&report.to_board.corrupt), "{report:?}");
@@ -237,7 +238,7 @@ fn a_flipped_bit_in_every_thousandth_frame_is_counted_and_keeps_the_vehicle_on_t
 
 #[test]
 #[ignore = "needs qemu-system-arm"]
-fn an_emulator_that_is_killed_in_flight_ends_the_flight() {
+fn killed_qemu_ends_the_flight() {
     struct KillAt(u64, u32);
     impl Observer for KillAt {
         fn step(&mut self, view: &StepView) {
@@ -252,25 +253,25 @@ fn an_emulator_that_is_killed_in_flight_ends_the_flight() {
     let flown = hil::fly(&mut qemu, &scene, scene.seed, Faults::default(), Arc::default(), &mut killer);
     assert!(matches!(flown.ended, Err(LinkError::Closed)), "{:?}", flown.ended);
     assert!((10_000..10_100).contains(&flown.outcome.control_steps), "{:?}", flown.outcome);
-    assert_eq!(qemu.end().how(), "the emulator has ended (signal: 9 (SIGKILL))");
+    assert_eq!(qemu.end().description(), "QEMU has ended (signal: 9 (SIGKILL))");
 }
 
 #[test]
 #[ignore = "needs qemu-system-arm"]
-fn a_flight_over_the_serial_port_is_the_same_flight() {
+fn hil_over_a_serial_port_equals_in_process() {
     struct KilledOnDrop(Child);
     impl Drop for KilledOnDrop {
         fn drop(&mut self) {
-            // An error means that it has ended, which is all that is wanted.
+            // An error means that the process has already ended.
             let _ = self.0.kill();
             let _ = self.0.wait();
         }
     }
     let image = hil::build(hil::USART).unwrap();
     let directory = Path::new(env!("CARGO_TARGET_TMPDIR"));
-    let said = directory.join("hil-serial.txt");
-    let out = File::create(&said).unwrap();
-    // USART1 to 5 go nowhere, USART6 to a pseudo terminal.
+    let output_file = directory.join("hil-serial.txt");
+    let out = File::create(&output_file).unwrap();
+    // USART1 to 5 are not connected; USART6 is connected to a pseudo terminal.
     let emulator = Command::new("qemu-system-arm")
         .args(["-machine", "netduinoplus2", "-icount", "shift=2,sleep=off"])
         .args(["-semihosting-config", "enable=on,target=native", "-display", "none", "-monitor", "none"])
@@ -286,14 +287,14 @@ fn a_flight_over_the_serial_port_is_the_same_flight() {
     let start = Instant::now();
     let port = loop {
         let mut text = String::new();
-        File::open(&said).unwrap().read_to_string(&mut text).unwrap();
+        File::open(&output_file).unwrap().read_to_string(&mut text).unwrap();
         if let Some(name) = text.split_ascii_whitespace().find(|word| word.starts_with("/dev/")) {
             break PathBuf::from(name);
         }
         assert!(start.elapsed() < Duration::from_secs(30), "{text}");
         std::thread::sleep(Duration::from_millis(20));
     };
-    // The emulator takes a byte at a time from a terminal, and so some milliseconds for a step.
+    // QEMU reads a terminal byte by byte, so that a step takes some milliseconds.
     let mut scene = scene("static");
     scene.set_duration(3.0).unwrap();
     let mut serial = Serial::open(&port).unwrap();

@@ -1,7 +1,7 @@
 //! The estimators over real recordings: four trials of BROAD (Laidig, Caruso, Cereatti, Seel, *Data*
-//! 6(7):72, 2021, CC BY 4.0), inertial sensor and optical reference at 285.7 Hz.
+//! 6(7):72, 2021, CC BY 4.0), with inertial sensor and optical reference at 285.7 Hz.
 //!
-//! The recordings are no part of the project. The environment variable `KESTREL_DATA` names the directory
+//! The recordings are not part of the project. The environment variable `KESTREL_DATA` names the directory
 //! that has them in `broad/`; a relative path starts at the root of the workspace.
 
 use std::path::{Path, PathBuf};
@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use sim_host::estimate::{Report, Request, run};
 use sim_host::log::{AccelSign, Axes, Frame};
 
-/// What an independent program makes of one trial, and what is asked of ours; all in degrees.
+/// A trial: results of an independent program, and bounds for ours; all RMSE in degrees.
 struct Trial {
     file: &'static str,
     /// Total, heading and inclination RMSE of `paper-literal` by the independent program.
@@ -18,11 +18,11 @@ struct Trial {
     paper: [f64; 2],
     /// Largest allowed inclination RMSE of `paper`.
     paper_inclination_limit: f64,
-    /// Total RMSE of the BROAD authors' BasicVQF, a filter without bias estimation: `flight`, with its
-    /// gyroscope zeroed at rest, has to do no worse.
+    /// Total RMSE of the BROAD authors' BasicVQF, a filter without bias estimation. It is the bound for `flight`, whose
+    /// gyroscope is zeroed at rest.
     basic_vqf_total: f64,
-    /// Total RMSE of their VQF, which estimates the bias and looks for magnetic disturbances: what `robust` is
-    /// measured by.
+    /// Total RMSE of their VQF, which estimates the bias and detects magnetic disturbances. The bounds for `robust`
+    /// follow from it.
     vqf_total: f64,
 }
 
@@ -62,7 +62,8 @@ const TRIALS: [Trial; 4] = [
 ];
 
 fn estimate(trial: &Trial, estimator: &str) -> [f64; 3] {
-    let data = std::env::var_os("KESTREL_DATA").expect("KESTREL_DATA names the directory of the recordings");
+    let data =
+        std::env::var_os("KESTREL_DATA").expect("KESTREL_DATA: must name the directory of the recordings");
     let workspace = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
     let log: PathBuf = workspace.join(data).join("broad").join(trial.file);
     let request = Request {
@@ -90,16 +91,16 @@ fn assert_within(share: f64, ours: &[f64], theirs: &[f64], file: &str) {
 fn paper_literal_agrees_with_an_independent_program() {
     for trial in &TRIALS {
         let ours = estimate(trial, "paper-literal");
-        // 5 % would do. The largest difference is 0.8 %, in the heading of 07: twelve of its samples have less
-        // than 1 µT of estimated level field, which ours leaves out and the other program does not. The
-        // others are within 0.5 %, most of it the rounding of the figures.
+        // The largest difference is 0.8 %, in the heading of 07: in twelve of its samples the estimated horizontal
+        // field is below 1 µT, and our program leaves these samples out where the other program does not. All other
+        // differences are within 0.5 %, mostly rounding of the figures. A difference of 5 % would be acceptable.
         assert_within(0.01, &ours, &trial.paper_literal, trial.file);
     }
 }
 
 #[test]
 #[ignore = "needs KESTREL_DATA, the BROAD recordings"]
-fn paper_keeps_its_inclination_and_agrees_with_an_independent_program() {
+fn paper_agrees_with_an_independent_program() {
     for trial in &TRIALS {
         let [total, _, inclination] = estimate(trial, "paper");
         assert!(inclination <= trial.paper_inclination_limit, "{}: {inclination}", trial.file);
@@ -109,7 +110,7 @@ fn paper_keeps_its_inclination_and_agrees_with_an_independent_program() {
 
 #[test]
 #[ignore = "needs KESTREL_DATA, the BROAD recordings"]
-fn flight_does_no_worse_than_a_published_filter_without_bias_estimation() {
+fn flight_error_is_at_most_that_of_basic_vqf() {
     for trial in &TRIALS {
         let [total, ..] = estimate(trial, "flight");
         assert!(total <= trial.basic_vqf_total, "{}: {total}", trial.file);
@@ -118,13 +119,13 @@ fn flight_does_no_worse_than_a_published_filter_without_bias_estimation() {
 
 #[test]
 #[ignore = "needs KESTREL_DATA, the BROAD recordings"]
-fn robust_does_no_worse_than_the_published_filter_with_bias_estimation() {
+fn robust_mean_error_is_at_most_that_of_vqf() {
     let mut sums = [0.0; 3];
     for trial in &TRIALS {
         let score = estimate(trial, "robust");
         let [total, ..] = score;
-        // Far from the paper's filter: at most half of its error, but in 27, whose field points 6° off north for any
-        // filter.
+        // At most half of the error of the paper's filter. In 27 it is at most 0.8, because its field points 6° off
+        // north for every filter.
         let share = if trial.vqf_total > 5.0 { 0.8 } else { 0.5 };
         assert!(total <= share * trial.paper[0], "{}: {total}", trial.file);
         assert!(total <= 1.05 * trial.vqf_total, "{}: {total}", trial.file);
@@ -132,6 +133,6 @@ fn robust_does_no_worse_than_the_published_filter_with_bias_estimation() {
     }
     let [total, _, inclination] = sums.map(|sum| sum / TRIALS.len() as f64);
     println!("mean: total {total}, inclination {inclination}");
-    // VQF: 2.69 and 0.56.
+    // The means of VQF are 2.69 and 0.56.
     assert!(total <= 2.69 && inclination <= 0.6, "{total} {inclination}");
 }

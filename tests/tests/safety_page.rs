@@ -1,6 +1,6 @@
-//! `docs/safety.md` against the arming table: the page's two lists are the program's, word for word.
+//! `docs/safety.md` against the arming table: the page's two generated lists equal those of the program.
 //!
-//! To write them anew after a change: `KESTREL_WRITE_DOCS=1 cargo test -p tests --test safety_page`.
+//! To write the lists again after a change: `KESTREL_WRITE_DOCS=1 cargo test -p tests --test safety_page`.
 
 use std::fmt::Write;
 use std::path::Path;
@@ -8,7 +8,7 @@ use std::path::Path;
 use flight_core::ArmState;
 use flight_core::arming::table::{Conditions, Row, rows};
 
-/// What a condition means, from the table's own comments: each constant's doc comment, in one line.
+/// Returns the meaning of each condition: the doc comment of its constant in the table's source, in one line.
 fn meanings() -> Vec<(String, String)> {
     let source = include_str!("../../flight-core/src/arming/table.rs");
     let mut found = vec![];
@@ -41,9 +41,11 @@ fn conditions() -> String {
 }
 
 fn table() -> String {
-    let mut text = String::from("| in | when | unless | go to | and say |\n|---|---|---|---|---|\n");
+    let mut text = String::from(
+        "| state | all of these hold | none of these holds | next state | cause in the log |\n|---|---|---|---|---|\n",
+    );
     for Row { from, when, unless, to, cause } in ArmState::ALL.into_iter().flat_map(rows) {
-        let to = if from == to { "stay: refused".to_owned() } else { format!("`{}`", to.name()) };
+        let to = if from == to { "refused".to_owned() } else { format!("`{}`", to.name()) };
         let from = from.name();
         writeln!(text, "| `{from}` | {} | {} | {to} | {} |", names(*when), names(*unless), cause.text())
             .unwrap();
@@ -51,27 +53,30 @@ fn table() -> String {
     text
 }
 
-/// The page with what stands between `<!-- mark -->` and the next `<!-- end -->` exchanged.
-fn with(page: &str, mark: &str, list: &str) -> String {
+/// Returns the page with the text between `<!-- mark -->` and the next `<!-- end -->` replaced by `list`.
+fn replace_list(page: &str, mark: &str, list: &str) -> String {
     let opening = format!("<!-- {mark} -->\n");
-    let (before, rest) = page.split_once(&opening).expect("the page has the mark");
-    let (_, after) = rest.split_once("<!-- end -->").expect("and its end");
+    let (before, rest) = page.split_once(&opening).expect("the mark on the page");
+    let (_, after) = rest.split_once("<!-- end -->").expect("the end mark on the page");
     format!("{before}{opening}{list}<!-- end -->{after}")
 }
 
 #[test]
-fn the_page_is_the_table() {
+fn safety_page_equals_the_arming_table() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/safety.md");
     let page = std::fs::read_to_string(&path).unwrap();
-    let should = with(&with(&page, "conditions", &conditions()), "table", &table());
+    let expected = replace_list(&replace_list(&page, "conditions", &conditions()), "table", &table());
     if std::env::var_os("KESTREL_WRITE_DOCS").is_some() {
-        return std::fs::write(&path, &should).unwrap();
+        return std::fs::write(&path, &expected).unwrap();
     }
-    assert!(page == should, "docs/safety.md is not what the arming table says: see this test's first lines");
+    assert!(
+        page == expected,
+        "docs/safety.md differs from the arming table; KESTREL_WRITE_DOCS=1 updates it"
+    );
 }
 
 #[test]
-fn every_condition_has_its_meaning_and_every_state_its_line() {
+fn every_condition_and_state_is_described() {
     let meanings = meanings();
     let bits: Vec<&str> = Conditions::all().iter_names().map(|(name, _)| name).collect();
     assert_eq!(meanings.iter().map(|(name, _)| name.as_str()).collect::<Vec<_>>(), bits);
@@ -84,7 +89,7 @@ fn every_condition_has_its_meaning_and_every_state_its_line() {
 }
 
 #[test]
-fn every_test_that_the_page_names_exists() {
+fn test_files_named_by_the_page_exist() {
     let page = include_str!("../../docs/safety.md");
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
     let files = page.split('`').skip(1).step_by(2).filter(|quoted| quoted.ends_with(".rs"));

@@ -1,13 +1,13 @@
 //! The built-in scenes fly the same flight, bit for bit, in every build and on every machine.
 //!
-//! The digests below were printed by a release build; this test runs in whatever profile it is built in. A
-//! change to what flies or to the world moves them: then `sim-host fly SCENE --json` prints the new ones, and
-//! the change says why they moved.
+//! The digests below come from a release build; this test runs in any build profile. A change of the
+//! flight code or of the simulated world changes them. Then `sim-host fly SCENE --json` prints the new ones, and the
+//! commit must explain why they changed.
 
 use sim_host::flight::Flight;
 use sim_host::scene::{BUILT_IN, Scene};
 
-/// Hash of the truth and the pulses of every step, at the scene's own seed.
+/// Scenes, and the digest of truth and pulses of every step, at the scene's own seed.
 const DIGESTS: [(&str, &str); 13] = [
     ("hover", "8f1265a8d54903b1"),
     ("steps", "80a2d59bcb125610"),
@@ -25,20 +25,20 @@ const DIGESTS: [(&str, &str); 13] = [
 ];
 
 #[test]
-fn every_scene_flies_the_flight_that_was_written_down() {
-    let mut moved = Vec::new();
+fn every_scene_flies_its_recorded_digest() {
+    let mut changed = Vec::new();
     for (name, digest) in DIGESTS {
         let scene = Scene::load(name).unwrap();
         let flown = format!("{:016x}", Flight::new(&scene, scene.seed).run(&mut ()).digest);
         if flown != digest {
-            moved.push(format!("{name} {flown}"));
+            changed.push(format!("{name} {flown}"));
         }
     }
-    assert!(moved.is_empty(), "moved: {moved:?}");
+    assert!(changed.is_empty(), "changed: {changed:?}");
 }
 
 #[test]
-fn every_scene_but_the_hour_on_the_bench_is_written_down() {
+fn every_scene_but_bench_static_has_a_digest() {
     let names = DIGESTS.map(|(name, _)| name);
     for scene in BUILT_IN.iter().filter(|scene| scene.name != "bench-static") {
         assert!(names.contains(&scene.name), "{}", scene.name);

@@ -1,5 +1,5 @@
-//! The flight board's way from the data-ready line to a sample (`tasks::sampling`), with the inertial sensor
-//! that `sim-host` plays, and a DMA whose interrupt is a level, as the chip's is.
+//! The flight board's path from the data-ready line to a sample (`tasks::sampling`), with the inertial sensor that
+//! `sim-host` simulates, and a DMA whose interrupt is a level, as on the chip.
 
 use std::cell::{Cell, RefCell};
 use std::rc::Rc;
@@ -12,28 +12,28 @@ use proptest::prelude::*;
 use sim_host::chips::icm42688p::Icm42688p;
 use sim_host::chips::{Clock, Fault};
 use tasks::counters::COUNTERS;
-use tasks::sampling::{self, BurstBus, Next, Sample, Sampler, Signal};
+use tasks::sampling::{self, Action, BurstBus, Sample, Sampler, Signal};
 
 const US: u64 = 1_000;
 const MS: u64 = 1_000_000;
 const S: u64 = 1_000 * MS;
 
-/// `tasks::sampling` keeps its state in statics: one test at a time.
-fn alone() -> MutexGuard<'static, ()> {
-    static ONE: Mutex<()> = Mutex::new(());
-    let guard = ONE.lock().unwrap_or_else(PoisonError::into_inner);
-    sampling::set_up_done();
-    sampling::served();
+/// Returns a guard that lets one test run at a time, because `tasks::sampling` keeps its state in statics.
+fn exclusive() -> MutexGuard<'static, ()> {
+    static TEST_RUNS: Mutex<()> = Mutex::new(());
+    let guard = TEST_RUNS.lock().unwrap_or_else(PoisonError::into_inner);
+    sampling::end_setup();
+    sampling::run_finished();
     guard
 }
 
 /// Whether a burst must be started. None of these tests leaves `flight` unserved.
-fn starts(next: Next) -> bool {
-    assert_ne!(next, Next::Stop, "the motors are stopped");
-    next == Next::Burst
+fn starts(next: Action) -> bool {
+    assert_ne!(next, Action::StopMotors, "the motors are stopped");
+    next == Action::StartBurst
 }
 
-/// Stream 0: its flags, which are up until they are taken down, and its buffer.
+/// A simulated DMA stream: its flags, which stay set until they are cleared, and its buffer.
 #[derive(Clone, Default)]
 struct Dma {
     done: Rc<Cell<bool>>,
@@ -43,14 +43,14 @@ struct Dma {
 }
 
 impl Dma {
-    /// The level of its interrupt.
+    /// Returns the level of its interrupt.
     fn is_up(&self) -> bool {
         self.done.get() || self.failed.get()
     }
 }
 
 impl BurstBus for Dma {
-    const SETS_UP: bool = true;
+    const SUPPORTS_SETUP: bool = true;
 
     fn acknowledge(&mut self) -> Signal {
         match (self.failed.take(), self.done.take()) {
@@ -77,10 +77,10 @@ fn enter(dma: &Dma, sampler: &mut Sampler<Dma>, mut pended: bool, now_us: u32) -
     while pended || dma.is_up() {
         pended = false;
         entries += 1;
-        assert!(entries < 10, "the handler is entered again and again");
-        if let Some(sample) = sampler.take(now_us) {
+        assert!(entries < 10, "the handler is entered without end");
+        if let Some(sample) = sampler.next_sample(now_us) {
             samples.push(sample);
-            sampling::served();
+            sampling::run_finished();
         }
     }
     (entries, samples)
@@ -90,10 +90,10 @@ fn enter(dma: &Dma, sampler: &mut Sampler<Dma>, mut pended: bool, now_us: u32) -
 enum Event {
     DataReady,
     Deadline,
-    /// The burst's end, which may also come when nobody has started one.
+    /// The end of a burst, which may also come when no burst was started.
     Done,
     Failed,
-    /// Somebody pends the vector.
+    /// Software sets the interrupt pending.
     Pended,
     SetUpDone,
     Passes(u32),
@@ -114,13 +114,13 @@ fn event() -> impl Strategy<Value = Event> {
 proptest! {
     #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::default() })]
 
-    /// Whatever has woken it, one run of the handler takes the interrupt down.
+    /// After any event, one run of the handler clears the interrupt.
     #[test]
     fn each_event_enters_the_handler_once(
         events in prop::collection::vec(event(), 1..200),
         frame in prop::array::uniform16(any::<u8>()),
     ) {
-        let _alone = alone();
+        let _guard = exclusive();
         let dma = Dma::default();
         let mut sampler = Sampler::new(dma.clone());
         *dma.frame.borrow_mut() = frame;
@@ -149,7 +149,7 @@ proptest! {
                 Event::Pended => pended = true,
                 Event::SetUpDone => {
                     if sampling::setting_up() {
-                        sampling::set_up_done();
+                        sampling::end_setup();
                     }
                 }
                 Event::Passes(us) => now_us = now_us.wrapping_add(us),
@@ -159,41 +159,41 @@ proptest! {
             prop_assert_eq!(entries, u32::from(up));
             prop_assert!(samples.len() <= 1);
             // Nothing is counted against a control loop that runs.
-            sampling::served();
+            sampling::run_finished();
         }
     }
 }
 
 #[test]
-fn a_burst_that_begins_while_the_handler_runs_is_left_alone() {
-    let _alone = alone();
+fn burst_started_during_the_handler_is_not_aborted() {
+    let _guard = exclusive();
     let dma = Dma::default();
     let mut sampler = Sampler::new(dma.clone());
     assert!(starts(sampling::poll(0)) && !starts(sampling::poll(500)));
-    // The time was read before the burst began, and the burst is not 71 minutes old.
+    // The time was read before the burst began: the age is −1 µs, not 71 minutes.
     dma.running.set(true);
-    sampler.take(u32::MAX);
+    sampler.next_sample(u32::MAX);
     assert!(dma.running.get());
-    sampler.take(101);
-    assert!(!dma.running.get(), "this one hangs");
+    sampler.next_sample(101);
+    assert!(!dma.running.get(), "a burst that hangs is aborted");
 }
 
-/// The board: time, sensor, the timer of the deadline, the tick, and the tasks that they wake.
+/// A simulated board: time, sensor, the timer of the deadline, the tick, and the tasks that they start.
 struct Board {
     clock: Clock,
     chip: Icm42688p,
     dma: Dma,
     sampler: Sampler<Dma>,
     setup: Option<Setup>,
-    /// The data-ready line is connected.
+    /// Whether the data-ready line is connected.
     connected: bool,
     deadline_us: u32,
-    /// Times (µs) of steps, and whether they had a sample and whether that was polled.
+    /// Steps: time, µs, whether there was a sample, and whether it was polled.
     steps: Vec<(u64, bool, bool)>,
 }
 
 impl Board {
-    /// Whose sensor gets power now, and is not set up yet.
+    /// Creates a board whose sensor gets power now and is not set up yet.
     fn new() -> Self {
         let clock = Clock::default();
         let mut n = 0_i16;
@@ -203,7 +203,7 @@ impl Board {
         };
         let chip = Icm42688p::new(&clock, Box::new(source));
         let dma = Dma::default();
-        sampling::claim();
+        sampling::begin_setup();
         let sampler = Sampler::new(dma.clone());
         Self { clock, chip, dma, sampler, setup: None, connected: true, deadline_us: 1_500, steps: vec![] }
     }
@@ -212,7 +212,7 @@ impl Board {
         (self.clock.now_ns() / US) as u32
     }
 
-    /// Runs for a time, in steps of 10 µs.
+    /// Runs for `for_ns`, in steps of 10 µs.
     fn run(&mut self, for_ns: u64) {
         let end_ns = self.clock.now_ns() + for_ns;
         let mut edges = self.chip.data_ready_edges();
@@ -264,11 +264,11 @@ impl Board {
         let setup = self.setup.get_or_insert_with(|| Setup::new(now_us));
         if setup.step(&mut self.chip, now_us, sampling::edges()) == Progress::Done {
             self.setup = None;
-            sampling::set_up_done();
+            sampling::end_setup();
         }
     }
 
-    /// The longest time without a sample since the last call, up to now, µs, and the longest without a step.
+    /// Returns the longest time without a sample since the last call, up to now, µs, and the longest without a step.
     fn longest_gaps_us(&mut self) -> (u64, u64) {
         let now = std::iter::once(u64::from(self.now_us()));
         let longest = |times: &mut dyn Iterator<Item = u64>| {
@@ -288,8 +288,8 @@ impl Board {
 }
 
 #[test]
-fn the_first_samples_come_within_60_ms() {
-    let _alone = alone();
+fn first_samples_arrive_within_62_ms() {
+    let _guard = exclusive();
     let mut board = Board::new();
     board.run(200 * MS);
     let first = board.steps.iter().find(|step| step.1).expect("samples");
@@ -300,10 +300,10 @@ fn the_first_samples_come_within_60_ms() {
 }
 
 #[test]
-fn a_sensor_that_resets_in_flight_is_back_within_100_ms() {
-    // Dips of its supply, from a microsecond to 20 ms, at any phase.
+fn imu_reset_in_flight_recovers_within_90_ms() {
+    // Interruptions of the supply from 1 µs to 20 ms, at different phases.
     for (n, dip_us) in [1, 300, 1_000, 5_000, 20_000].into_iter().enumerate() {
-        let _alone = alone();
+        let _guard = exclusive();
         let mut board = Board::new();
         board.run(200 * MS);
         board.steps.clear();
@@ -311,18 +311,18 @@ fn a_sensor_that_resets_in_flight_is_back_within_100_ms() {
         board.chip.inject(at_ns..at_ns + dip_us * US, Fault::NoPower);
         board.run(300 * MS);
         let polled = board.steps.iter().filter(|step| step.2).count();
-        assert!(polled >= 2, "the timer has found out");
+        assert!(polled >= 2, "the timer polled the sensor");
         let (sampled, stepped) = board.longest_gaps_us();
-        println!("supply gone for {dip_us} µs: no sample for {sampled} µs");
+        println!("supply off for {dip_us} µs: no sample for {sampled} µs");
         assert!(sampled < 90_000, "{dip_us}: {sampled}");
-        assert!(stepped <= 2_100, "the step runs on: {stepped}");
+        assert!(stepped <= 2_100, "steps continue: {stepped}");
         assert_eq!(board.chip.misuse(), []);
     }
 }
 
 #[test]
-fn a_flipped_bit_that_looks_like_a_reset_costs_one_sample() {
-    let _alone = alone();
+fn bit_flip_that_looks_like_a_reset_costs_one_sample() {
+    let _guard = exclusive();
     let mut board = Board::new();
     board.run(200 * MS);
     board.steps.clear();
@@ -331,14 +331,14 @@ fn a_flipped_bit_that_looks_like_a_reset_costs_one_sample() {
     assert!(starts(sampling::ready(board.now_us(), false)));
     *board.dma.frame.borrow_mut() = frame;
     board.dma.done.set(true);
-    assert!(board.sampler.take(board.now_us()).unwrap().imu.is_none());
+    assert!(board.sampler.next_sample(board.now_us()).unwrap().imu.is_none());
     board.run(100 * MS);
     assert_eq!(board.steps.iter().filter(|step| !step.1).count(), 0);
 }
 
 #[test]
-fn a_broken_data_ready_line_is_polled_around() {
-    let _alone = alone();
+fn broken_data_ready_line_is_replaced_by_polling() {
+    let _guard = exclusive();
     let mut board = Board::new();
     board.run(200 * MS);
     board.steps.clear();
@@ -349,7 +349,7 @@ fn a_broken_data_ready_line_is_polled_around() {
     assert!((1_950..=2_000).contains(&samples), "{samples}");
     assert!((1_990..=2_000).contains(&COUNTERS.polled.take()));
     assert!(board.longest_gaps_us().0 <= 3_000);
-    // It is mended: the edges are enough again.
+    // The line works again: polling stops.
     board.connected = true;
     board.run(10 * MS);
     board.steps.clear();
@@ -360,11 +360,11 @@ fn a_broken_data_ready_line_is_polled_around() {
 }
 
 #[test]
-fn a_sensor_that_falls_silent_is_set_up_again_when_it_is_back() {
+fn silent_imu_is_set_up_again_when_it_returns() {
     for fault in
         [Fault::NoAnswer { reads: 0x00 }, Fault::NoAnswer { reads: 0xff }, Fault::Stalled, Fault::NoPower]
     {
-        let _alone = alone();
+        let _guard = exclusive();
         let mut board = Board::new();
         board.run(200 * MS);
         board.steps.clear();
@@ -373,7 +373,7 @@ fn a_sensor_that_falls_silent_is_set_up_again_when_it_is_back() {
         board.chip.inject(now_ns..now_ns + S, fault);
         board.run(2 * S);
         let (sampled, stepped) = board.longest_gaps_us();
-        // The attempts are 150 ms apart, or 210 ms if they fail at their end.
+        // Setup attempts are 150 ms apart, or 210 ms if they fail at their end.
         assert!((1_000_000..1_270_000).contains(&sampled), "{fault:?}: {sampled}");
         assert!(stepped <= 2_100, "{fault:?}: {stepped}");
     }

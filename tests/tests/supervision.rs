@@ -1,4 +1,4 @@
-//! The flight controller as a whole, lying level and still: what it takes to turn a motor, and what stops it.
+//! The flight controller of a level vehicle at rest: what is needed to turn a motor, and what stops it.
 
 use flight_core::arming::{Cause, Event};
 use flight_core::rc::ArmBy;
@@ -13,7 +13,7 @@ fn event(from: ArmState, to: ArmState, cause: Cause) -> Event {
     Event { from, to, cause }
 }
 
-/// Armed, throttle at a half: as in flight, as far as the flight controller can know.
+/// Returns a vehicle that is armed with the throttle at half: for the flight controller, as in flight.
 fn flying(config: &Config) -> StillVehicle {
     let mut vehicle = StillVehicle::new(config);
     vehicle.sticks(CENTRED).run_ms(2_000);
@@ -26,13 +26,13 @@ fn flying(config: &Config) -> StillVehicle {
 }
 
 #[test]
-fn one_frame_that_looks_like_the_gesture_arms_nothing() {
+fn single_arm_gesture_frames_do_not_arm() {
     let mut vehicle = StillVehicle::new(&config());
     vehicle.run_ms(3_000);
     vehicle.sticks(ARM).run_ms(1);
     vehicle.silence().run_ms(5_000);
     assert_eq!((vehicle.state(), &vehicle.events[..]), (Disarmed, &[][..]));
-    // Nor does one every 0.4 s, with silence or with centred sticks between them.
+    // One frame every 0.4 s does not arm either, with silence or with centred sticks between them.
     for _ in 0..20 {
         vehicle.sticks(ARM).run_ms(1);
         vehicle.sticks(CENTRED).run_ms(399);
@@ -41,7 +41,7 @@ fn one_frame_that_looks_like_the_gesture_arms_nothing() {
 }
 
 #[test]
-fn every_obstacle_has_its_name() {
+fn each_arming_obstacle_is_reported_by_its_cause() {
     let refused = |mut vehicle: StillVehicle| {
         vehicle.sticks(CENTRED).run_ms(2_000);
         vehicle.sticks(ARM).run_ms(2_000);
@@ -93,7 +93,7 @@ fn every_obstacle_has_its_name() {
     late.misses_a_deadline_every_ms = Some(500);
     assert_eq!(refused(late), refusal(Cause::Overload));
 
-    // With a switch the throttle may be up.
+    // With an arm switch the throttle can be up while arming.
     let mut config = config();
     config.params.arm_by = ArmBy::Switch;
     let mut up = StillVehicle::new(&config);
@@ -103,7 +103,7 @@ fn every_obstacle_has_its_name() {
 }
 
 #[test]
-fn an_arm_switch_works_from_off_to_on_with_the_throttle_low_and_stops_within_a_tenth_of_a_second() {
+fn arm_switch_arms_from_off_to_on_and_disarms_within_122_ms() {
     let mut config = config();
     config.params.arm_by = ArmBy::Switch;
     let mut vehicle = StillVehicle::new(&config);
@@ -112,19 +112,19 @@ fn an_arm_switch_works_from_off_to_on_with_the_throttle_low_and_stops_within_a_t
     vehicle.arm_switch(LOW_TICKS).run_ms(200);
     vehicle.arm_switch(HIGH_TICKS).run_ms(1_600);
     assert_eq!(vehicle.state(), Armed);
-    // One corrupt frame is not the pilot.
+    // A single corrupt frame does not disarm.
     vehicle.arm_switch(LOW_TICKS).run_ms(20);
     vehicle.arm_switch(HIGH_TICKS).run_ms(1_000);
     assert_eq!(vehicle.state(), Armed);
     vehicle.arm_switch(LOW_TICKS).run_ms(122);
     assert_eq!(vehicle.state(), Disarmed);
-    // The gesture means nothing now.
+    // With an arm switch the gesture does nothing.
     vehicle.sticks(ARM).run_ms(5_000);
     assert_eq!(vehicle.state(), Disarmed);
 }
 
 #[test]
-fn a_sensor_that_shows_nothing_ends_the_flight_within_a_tenth_of_a_second_or_two() {
+fn imu_without_new_data_terminates_flight_after_100_ms() {
     let end = |fault: fn(&mut StillVehicle), cause, after_ms| {
         let mut vehicle = flying(&config());
         fault(&mut vehicle);
@@ -133,20 +133,20 @@ fn a_sensor_that_shows_nothing_ends_the_flight_within_a_tenth_of_a_second_or_two
         vehicle.run_ms(5);
         assert_eq!(vehicle.events, [event(Armed, Terminated, cause)]);
         vehicle.events.clear();
-        // It stays so when the sensor is back, after a second.
+        // The state stays when the sensor recovers after a second.
         vehicle.run_ms(1_000);
         (vehicle.sensor_dead, vehicle.all_zeros, vehicle.invalid_code) = (false, false, false);
         vehicle.run_ms(3_000);
         assert_eq!((vehicle.state(), vehicle.pulses_us), (Terminated, [1_000.0; 4]));
     };
-    // No sample for 0.1 s; the code for "no sample"; and the same sample for 0.1 s.
+    // No sample for 0.1 s; the code for "no sample" for 0.1 s; the same sample for 0.1 s.
     end(|vehicle| vehicle.sensor_dead = true, Cause::ImuLost, 98);
     end(|vehicle| vehicle.invalid_code = true, Cause::ImuLost, 98);
     end(|vehicle| vehicle.all_zeros = true, Cause::ImuStuck, 98);
 }
 
 #[test]
-fn usb_stops_the_motors_and_the_pilot_must_take_note() {
+fn usb_terminates_flight_until_the_pilot_acknowledges() {
     let mut vehicle = flying(&config());
     vehicle.health.usb = true;
     vehicle.run_ms(1);
@@ -162,7 +162,7 @@ fn usb_stops_the_motors_and_the_pilot_must_take_note() {
 }
 
 #[test]
-fn after_a_reset_by_the_watchdog_the_pilot_must_take_note() {
+fn watchdog_reset_terminates_until_the_pilot_acknowledges() {
     let mut vehicle = StillVehicle::new(&config());
     vehicle.health.watchdog_reset = true;
     vehicle.run_ms(2_000);
@@ -177,7 +177,7 @@ fn after_a_reset_by_the_watchdog_the_pilot_must_take_note() {
 }
 
 #[test]
-fn a_battery_that_runs_out_brings_the_vehicle_down_in_the_pilots_hands() {
+fn critical_battery_starts_descent_that_the_pilot_ends() {
     let mut vehicle = flying(&config());
     vehicle.sticks([HIGH_TICKS, 992, 992, 992]).run_ms(100);
     assert!(vehicle.pulses_us[0] > 1_900.0);
@@ -186,11 +186,11 @@ fn a_battery_that_runs_out_brings_the_vehicle_down_in_the_pilots_hands() {
     assert_eq!(vehicle.state(), Armed);
     vehicle.run_ms(2);
     assert_eq!(vehicle.events, [event(Armed, Descent, Cause::BatteryCritical)]);
-    // Full throttle is that of the descent: the speed goes with the root of the thrust.
+    // Full stick gives the throttle of the descent. The speed is proportional to the square root of the thrust.
     vehicle.run_ms(1);
-    let most = 1_000.0 + 1_000.0 * config().params.descent.throttle.sqrt() + 1.0;
-    assert!(vehicle.pulses_us.iter().sum::<f32>() / 4.0 < most, "{:?}", vehicle.pulses_us);
-    // A recovering battery changes nothing; a descent with a pilot has no end but the pilot's.
+    let max_us = 1_000.0 + 1_000.0 * config().params.descent.throttle.sqrt() + 1.0;
+    assert!(vehicle.pulses_us.iter().sum::<f32>() / 4.0 < max_us, "{:?}", vehicle.pulses_us);
+    // A recovering battery changes nothing. This descent has no time limit: it ends when the pilot disarms.
     vehicle.battery_v = Some(12.0);
     vehicle.run_ms(60_000);
     assert_eq!(vehicle.state(), Descent);
@@ -199,7 +199,7 @@ fn a_battery_that_runs_out_brings_the_vehicle_down_in_the_pilots_hands() {
 }
 
 #[test]
-fn the_bench_turns_one_motor_slowly_and_only_while_it_is_told_to() {
+fn bench_turns_one_capped_motor_only_while_commanded() {
     let command = |rotor, thrust| Some(BenchCommand { rotor, thrust });
     let mut vehicle = StillVehicle::new(&config());
     vehicle.health.usb = true;
@@ -207,23 +207,23 @@ fn the_bench_turns_one_motor_slowly_and_only_while_it_is_told_to() {
     for rotor in 1..=4 {
         vehicle.bench_every_ms(command(rotor, 1.0), 1).run_ms(500);
         assert_eq!(vehicle.state(), Bench);
-        // A tenth of the thrust is √0.1 of the speed.
-        let mut should = [1_000.0; 4];
-        should[usize::from(rotor) - 1] = 1_000.0 + 1_000.0 * 0.1_f32.sqrt();
-        for (pulse, should) in vehicle.pulses_us.iter().zip(should) {
-            assert!((pulse - should).abs() < 0.01, "{:?}", vehicle.pulses_us);
+        // A tenth of the thrust needs √0.1 of the speed.
+        let mut expected = [1_000.0; 4];
+        expected[usize::from(rotor) - 1] = 1_000.0 + 1_000.0 * 0.1_f32.sqrt();
+        for (pulse, expected) in vehicle.pulses_us.iter().zip(expected) {
+            assert!((pulse - expected).abs() < 0.01, "{:?}", vehicle.pulses_us);
         }
         vehicle.bench_every_ms(None, 1).run_ms(249);
         assert_eq!(vehicle.state(), Bench, "rotor {rotor}");
         vehicle.run_ms(2);
         assert_eq!((vehicle.state(), vehicle.pulses_us), (Disarmed, [1_000.0; 4]), "rotor {rotor}");
     }
-    // A rotor that does not exist, a thrust that is no share: no command.
+    // Invalid commands: a rotor that does not exist, a thrust outside 0 to 1.
     for bad in [command(0, 0.1), command(5, 0.1), command(1, -0.1), command(1, 1.1), command(1, f32::NAN)] {
         vehicle.bench_every_ms(bad, 10).run_ms(1_000);
         assert_eq!(vehicle.state(), Disarmed);
     }
-    // Ten seconds, then a pause.
+    // A motor turns for at most ten seconds; then the commands must pause.
     vehicle.events.clear();
     vehicle.bench_every_ms(command(1, 0.05), 100).run_ms(9_900);
     assert_eq!(vehicle.state(), Bench);
@@ -238,14 +238,14 @@ fn the_bench_turns_one_motor_slowly_and_only_while_it_is_told_to() {
 }
 
 #[test]
-fn the_pilot_can_stop_the_bench_and_cannot_arm_into_it() {
+fn pilot_stops_the_bench_and_cannot_arm_from_it() {
     let mut vehicle = StillVehicle::new(&config());
     vehicle.sticks(CENTRED).bench_every_ms(Some(BenchCommand { rotor: 2, thrust: 0.1 }), 50).run_ms(1_000);
     assert_eq!(vehicle.state(), Bench);
     vehicle.sticks(DISARM).run_ms(600);
     assert_eq!(vehicle.state(), Disarmed);
     vehicle.run_ms(1_000);
-    assert_eq!(vehicle.state(), Disarmed, "as long as the pilot says so");
+    assert_eq!(vehicle.state(), Disarmed, "while the pilot holds the disarm gesture");
     vehicle.sticks(CENTRED).run_ms(100);
     assert_eq!(vehicle.state(), Bench);
     vehicle.events.clear();
@@ -255,14 +255,14 @@ fn the_pilot_can_stop_the_bench_and_cannot_arm_into_it() {
 }
 
 #[test]
-fn a_bench_command_in_flight_is_not_listened_to() {
+fn bench_command_in_flight_is_ignored() {
     let mut vehicle = flying(&config());
     vehicle.bench_every_ms(Some(BenchCommand { rotor: 2, thrust: 0.1 }), 50).run_ms(2_000);
     assert_eq!((vehicle.state(), vehicle.events.len()), (Armed, 0));
 }
 
 #[test]
-fn flash_is_erased_on_the_ground_and_never_in_flight() {
+fn maintenance_starts_on_the_ground_and_never_in_flight() {
     let mut vehicle = flying(&config());
     vehicle.health.maintenance = true;
     vehicle.run_ms(5_000);
@@ -278,11 +278,11 @@ fn flash_is_erased_on_the_ground_and_never_in_flight() {
 }
 
 #[test]
-fn a_receiver_that_says_that_it_is_alone_is_believed_at_once() {
+fn receiver_failsafe_flag_is_link_loss_at_once() {
     let mut vehicle = flying(&config());
     vehicle.link_status(LinkStatus::Failsafe).run_ms(21);
     assert_eq!(vehicle.events, [event(Armed, Descent, Cause::RcLost)]);
-    // On the ground, throttle low: nothing may spin up.
+    // On the ground with the throttle low the motors stop instead.
     let mut vehicle = flying(&config());
     vehicle.sticks(CENTRED).run_ms(100);
     vehicle.link_status(LinkStatus::Failsafe).run_ms(21);
@@ -290,7 +290,7 @@ fn a_receiver_that_says_that_it_is_alone_is_believed_at_once() {
 }
 
 #[test]
-fn lost_frames_that_are_repeated_are_a_loss_after_half_a_second() {
+fn repeated_lost_frames_are_link_loss_after_half_a_second() {
     let mut vehicle = flying(&config());
     vehicle.link_status(LinkStatus::FrameLost).run_ms(450);
     assert_eq!(vehicle.state(), Armed);

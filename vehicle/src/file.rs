@@ -1,4 +1,4 @@
-//! The tables and keys of a vehicle file, with their units in the keys.
+//! The tables and keys of a vehicle file. Each key names its unit.
 
 mod rotors;
 
@@ -17,19 +17,23 @@ use serde::Deserialize;
 use crate::tune::{self, MARGIN_DEG};
 use crate::{Derived, EscProtocol, Plant, Vehicle, VehicleParams};
 
-/// Volts of a cell below which a flight may not start, and must end.
+/// Default voltage of a cell below which the vehicle does not arm, V.
 const ARM_V: f64 = 3.5;
+/// Default voltage of a cell below which a flight must end, V.
 const CRITICAL_V: f64 = 3.0;
-/// Drag over mass, 1/s: rotor drag of multirotors is 0.2 to 0.5 (OS4's figure: 0.38).
+/// Default drag over mass, 1/s: rotor drag of multirotors is 0.2 to 0.5 (OS4's figure: 0.38).
 const DRAG_PER_MASS: f64 = 0.35;
-/// Throttle of the descent without a pilot, as a share of hover: it sinks with a twentieth of its weight.
+/// Throttle of the descent without a pilot, as a share of hover throttle: a net force of a twentieth of the weight pulls
+/// the vehicle down.
 const DESCENT_SHARE: f64 = 0.95;
-/// Throttle at which control begins, as a share of hover.
+/// Throttle at which control begins, as a share of hover throttle.
 const BEGIN_SHARE: f64 = 0.2;
-/// Speed at which armed rotors idle, as a share of hover's: 2 % of the thrust.
+/// Default idle speed of armed rotors, as a share of their speed in hover: 2 % of the thrust (0.142² = 0.020).
 const IDLE_SHARE: f64 = 0.142;
-/// Most that an armed rotor may idle at, of its speed in hover: half of hover's thrust, so that the vehicle comes down.
-const IDLE_MOST: f64 = std::f64::consts::FRAC_1_SQRT_2;
+/// Maximum idle speed of armed rotors, as a share of their speed in hover: half of the thrust of hover, so that the vehicle
+/// descends at idle.
+const MAX_IDLE_SHARE: f64 = std::f64::consts::FRAC_1_SQRT_2;
+/// Unit of the idle speed in errors.
 const IDLE_UNIT: &str = "rad/s, 0.7 of hover";
 
 #[derive(Clone, Debug, Deserialize)]
@@ -54,12 +58,12 @@ pub struct File {
     #[serde(default)]
     battery: Battery,
     #[serde(default)]
-    rc: Radio,
+    rc: RcChannels,
     #[serde(default)]
     mounting: Mounting,
 }
 
-/// `[inertia]`: measured, or an estimate from what the vehicle is made of.
+/// `[inertia]`: measured, or estimated from the masses of the hub and of the rest.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Inertia {
@@ -113,7 +117,7 @@ struct Esc {
     protocol: EscProtocol,
 }
 
-/// `[gains]`: all of them, or none.
+/// `[gains]`: if the table is present, it must have all keys.
 #[derive(Clone, Copy, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Gains {
@@ -125,7 +129,7 @@ struct Gains {
     max_integral_rad_s2: [f64; 3],
 }
 
-/// `[rates]`: what full sticks ask for.
+/// `[rates]`: tilt and rates at full stick.
 #[derive(Clone, Copy, Debug, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 struct Rates {
@@ -160,7 +164,7 @@ impl Cutoff {
     /// Hz; `None` for no prefilter.
     pub fn hz(self) -> Option<f64> {
         match self {
-            // What flies is in single precision, and is what is checked.
+            // The flight controller uses single precision: the check is of that value.
             Self::Hz(hz) => Some(f64::from(hz as f32)),
             Self::None => None,
         }
@@ -204,7 +208,7 @@ struct Battery {
 /// `[rc]`
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields, default)]
-struct Radio {
+struct RcChannels {
     /// Order of aileron (roll), elevator (pitch), throttle and rudder (yaw) on the first four channels.
     order: String,
     /// Counted from 1.
@@ -213,13 +217,13 @@ struct Radio {
     arm_by: ArmByName,
 }
 
-impl Default for Radio {
+impl Default for RcChannels {
     fn default() -> Self {
         Self { order: "AETR".into(), arm_channel: 5, mode_channel: 6, arm_by: ArmByName::Sticks }
     }
 }
 
-/// `[mounting]`: where the arrows of what is built in point, its forward, right and down, or a chip's x, y and z.
+/// `[mounting]`: directions in the vehicle of the board's forward, right and down, and of the magnetometer's x, y and z.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 struct Mounting {
@@ -241,23 +245,30 @@ enum ArmByName {
     Switch,
 }
 
-/// Exactly one of several keys that say the same thing.
-fn one_of(table: &str, keys: &[(&str, bool)]) -> Result<(), InputError> {
+/// Checks that exactly one of several alternative keys is given.
+fn exactly_one(table: &str, keys: &[(&str, bool)]) -> Result<(), InputError> {
     let given: Vec<&str> = keys.iter().filter(|(_, given)| *given).map(|(key, _)| *key).collect();
     let all: Vec<&str> = keys.iter().map(|(key, _)| *key).collect();
     match given.len() {
         1 => Ok(()),
         0 => Err(InputError::new(format!("needs one of {}", all.join(", "))).field(table)),
-        _ => Err(InputError::new(format!("has {}: one of them says it", given.join(" and "))).field(table)),
+        _ => Err(InputError::new(format!("has {}: give only one of them", given.join(" and "))).field(table)),
     }
 }
 
-fn each(field: &str, values: [f64; 3], minimum: f64, maximum: f64, unit: &str) -> Result<(), InputError> {
+/// Checks each of three values with [`in_range`].
+fn all_in_range(
+    field: &str,
+    values: [f64; 3],
+    minimum: f64,
+    maximum: f64,
+    unit: &str,
+) -> Result<(), InputError> {
     values.into_iter().try_for_each(|value| in_range(field, value, minimum, maximum, unit))
 }
 
-/// The same number, if it is given, after its check.
-fn given(
+/// Checks an optional value with [`in_range`], and returns it.
+fn optional_in_range(
     field: &str,
     value: Option<f64>,
     minimum: f64,
@@ -267,7 +278,7 @@ fn given(
     value.map(|value| in_range(field, value, minimum, maximum, unit).map(|()| value)).transpose()
 }
 
-/// What is found on the way.
+/// The figures that are derived while a vehicle is built.
 #[derive(Default)]
 struct Notes(Vec<Derived>);
 
@@ -288,8 +299,8 @@ impl File {
         let hover = params.hover_throttle();
         if hover > 0.85 {
             return Err(InputError::new(format!(
-                "is too much for rotors that lift {:.0} g at full speed: hovering takes {:.0} % of their thrust, and \
-                 85 % at most leave room to steer",
+                "is too heavy for rotors that lift {:.0} g at full speed: hover takes {:.0} % of their thrust, and must \
+                 take at most 85 % so that thrust is left for control",
                 params.max_thrust_n() / crate::GRAVITY * 1e3,
                 hover * 100.0
             ))
@@ -323,21 +334,20 @@ impl File {
 
         let prefilter_hz = self.filters.prefilter_hz.hz();
         if let Some(cutoff_hz) = prefilter_hz {
-            let (least_hz, most_hz) = prefilter_range_hz();
-            in_open_range("filters.prefilter_hz", cutoff_hz, least_hz, most_hz, PREFILTER_ALLOWED)?;
+            let (min_hz, max_hz) = prefilter_range_hz();
+            in_open_range("filters.prefilter_hz", cutoff_hz, min_hz, max_hz, PREFILTER_UNIT)?;
         }
         let estimator = estimator("filters.estimator", &self.filters.estimator)?;
         let control = self.control(&params, hover, prefilter_hz, &mut notes)?;
-        let volts = |key: &str, value: Option<f64>, usual: f64| {
-            Ok::<_, InputError>(
-                f64::from(self.cells) * given(key, value, 2.0, 4.35, "V a cell")?.unwrap_or(usual),
-            )
+        let volts = |key: &str, value: Option<f64>, default: f64| {
+            let cell_v = optional_in_range(key, value, 2.0, 4.35, "V a cell")?.unwrap_or(default);
+            Ok::<_, InputError>(f64::from(self.cells) * cell_v)
         };
         let min_arm_voltage_v = volts("battery.arm_v_per_cell", self.battery.arm_v_per_cell, ARM_V)?;
         let critical_voltage_v =
             volts("battery.critical_v_per_cell", self.battery.critical_v_per_cell, CRITICAL_V)?;
         for (what, voltage) in
-            [("voltage to start a flight", min_arm_voltage_v), ("voltage to end it", critical_voltage_v)]
+            [("minimum voltage to arm", min_arm_voltage_v), ("critical voltage", critical_voltage_v)]
         {
             let how = format!("{:.2} V a cell, {} cells", voltage / f64::from(self.cells), self.cells);
             notes.add(what, format!("{voltage:.1} V"), how, false);
@@ -345,8 +355,8 @@ impl File {
         if critical_voltage_v >= min_arm_voltage_v {
             let a_cell = |voltage: f64| voltage / f64::from(self.cells);
             return Err(InputError::new(format!(
-                "critical_v_per_cell ({:.2} V) must be below arm_v_per_cell ({:.2} V); where the file has none it is \
-                 {CRITICAL_V:.1} and {ARM_V:.1} V",
+                "critical_v_per_cell ({:.2} V) must be below arm_v_per_cell ({:.2} V); the defaults are \
+                 {CRITICAL_V:.1} V and {ARM_V:.1} V",
                 a_cell(critical_voltage_v),
                 a_cell(min_arm_voltage_v)
             ))
@@ -378,7 +388,7 @@ impl File {
 
     fn params(&self, mass_kg: f64, notes: &mut Notes) -> Result<VehicleParams, InputError> {
         let rotors = &self.rotors;
-        let (forward_m, right_m) = rotors.places()?;
+        let (forward_m, right_m) = rotors.positions()?;
         let arm_m = libm::hypot(forward_m, right_m);
         let max_rad_s = rotors.max_rad_s(self.cells, notes)?;
         let thrust_coefficient = rotors.thrust_coefficient(max_rad_s, notes)?;
@@ -386,10 +396,10 @@ impl File {
         let rotor_inertia_kg_m2 = rotors.rotor_inertia(notes)?;
         in_range("rotors.lag_ms", rotors.lag_ms, 1.0, 500.0, "ms")?;
         let inertia_kg_m2 = self.inertia.build(mass_kg, forward_m, right_m, notes)?;
-        let feet_m = match given("feet_mm", self.feet_mm, 5.0, 1e3, "mm")? {
+        let feet_m = match optional_in_range("feet_mm", self.feet_mm, 5.0, 1e3, "mm")? {
             Some(feet_mm) => feet_mm / 1e3,
             None => {
-                // Flat on its belly, a fifth of the arm below the centre of gravity.
+                // The bottom of the body is assumed a fifth of the arm below the centre of gravity, at least 10 mm.
                 let feet_m = (0.2 * arm_m).max(0.01);
                 notes.add("feet", format!("{:.0} mm", feet_m * 1e3), "a fifth of the arm", true);
                 feet_m
@@ -397,7 +407,7 @@ impl File {
         };
         let drag_kg_per_s = match self.drag {
             Some(Drag { kg_per_s }) => {
-                each("drag.kg_per_s", kg_per_s, 0.0, 100.0, "kg/s")?;
+                all_in_range("drag.kg_per_s", kg_per_s, 0.0, 100.0, "kg/s")?;
                 Vec3::from(kg_per_s)
             }
             None => {
@@ -425,11 +435,11 @@ impl File {
             feet_m,
             drag_kg_per_s,
         };
-        params.idle_rad_s = match given(
+        params.idle_rad_s = match optional_in_range(
             "rotors.idle_rad_s",
             rotors.idle_rad_s,
             0.0,
-            IDLE_MOST * params.hover_rad_s(),
+            MAX_IDLE_SHARE * params.hover_rad_s(),
             IDLE_UNIT,
         )? {
             Some(idle) => idle,
@@ -465,7 +475,7 @@ impl File {
         let Some(gains) = self.gains else {
             let plant = Plant::new(params, prefilter_hz, self.esc.protocol);
             let tuned = tune::tune(params, &plant, MARGIN_DEG);
-            tuned.put_into(&mut control);
+            tuned.apply_to(&mut control);
             let how = format!("a phase margin of {MARGIN_DEG:.0}° (docs/tuning.md)");
             let value = format!("P {:.1} and {:.1} /s", tuned.tilt.p, tuned.yaw.p);
             notes.add("gains of the rate loops, tilt and yaw", value, how, false);
@@ -473,10 +483,10 @@ impl File {
         };
         in_range("gains.tilt_p", gains.tilt_p, 0.0, 100.0, "1/s")?;
         in_range("gains.heading_p", gains.heading_p, 0.0, 100.0, "1/s")?;
-        each("gains.rate_p", gains.rate_p, 0.0, 1e3, "1/s")?;
-        each("gains.rate_i", gains.rate_i, 0.0, 1e4, "1/s²")?;
-        each("gains.rate_d", gains.rate_d, 0.0, 10.0, "")?;
-        each("gains.max_integral_rad_s2", gains.max_integral_rad_s2, 0.0, 1e3, "rad/s²")?;
+        all_in_range("gains.rate_p", gains.rate_p, 0.0, 1e3, "1/s")?;
+        all_in_range("gains.rate_i", gains.rate_i, 0.0, 1e4, "1/s²")?;
+        all_in_range("gains.rate_d", gains.rate_d, 0.0, 10.0, "")?;
+        all_in_range("gains.max_integral_rad_s2", gains.max_integral_rad_s2, 0.0, 1e3, "rad/s²")?;
         let single = |[x, y, z]: [f64; 3]| vec3(x as f32, y as f32, z as f32);
         control.tilt_p = gains.tilt_p as f32;
         control.heading_p = gains.heading_p as f32;
@@ -488,20 +498,21 @@ impl File {
     }
 }
 
-/// What a prefilter's cutoff may be, for errors: of the sensors behind one the magnetometer is the slowest.
-pub const PREFILTER_ALLOWED: &str = "Hz, just below half the magnetometer's rate";
+/// Unit of the prefilter's cutoff in errors, with the reason for its maximum: the magnetometer is the slowest of the
+/// filtered sensors.
+pub const PREFILTER_UNIT: &str = "Hz, just below half the magnetometer's rate";
 
-/// Least and most of a prefilter's cutoff, Hz: the least for the fastest sensor, the most for the slowest one.
+/// Returns the limits of a prefilter's cutoff, Hz: the minimum for the fastest sensor, the maximum for the slowest sensor.
 pub fn prefilter_range_hz() -> (f64, f64) {
     let Params { imu_rate_hz, mag_rate_hz, .. } = Params::default();
-    let least_of = |rate_hz: f32| f64::from(rate_hz) / f64::from(MAX_RATE_PER_CUTOFF);
-    (least_of(imu_rate_hz), f64::from(mag_rate_hz) / 2.0 - least_of(mag_rate_hz))
+    let min_hz = |rate_hz: f32| f64::from(rate_hz) / f64::from(MAX_RATE_PER_CUTOFF);
+    (min_hz(imu_rate_hz), f64::from(mag_rate_hz) / 2.0 - min_hz(mag_rate_hz))
 }
 
-/// An estimator by its name, which stands in `field`.
+/// Returns the parameters of the estimator called `name`. Errors name `field`.
 ///
 /// # Errors
-/// There is none of this name, with the nearest.
+/// The name is unknown: the error suggests the nearest one.
 pub fn estimator(field: &str, name: &str) -> Result<EstimatorParams, InputError> {
     let found = EstimatorParams::PRESETS.into_iter().find(|(preset, _)| *preset == name);
     found
@@ -509,14 +520,14 @@ pub fn estimator(field: &str, name: &str) -> Result<EstimatorParams, InputError>
         .ok_or_else(|| unknown(field, name, EstimatorParams::PRESETS.map(|preset| preset.0)))
 }
 
-impl Radio {
+impl RcChannels {
     fn channels(&self) -> Result<ChannelMap, InputError> {
         let place =
             |letter: char| self.order.chars().position(|c| c.eq_ignore_ascii_case(&letter)).map(|n| n as u8);
         let sticks = ['T', 'A', 'E', 'R'].map(place);
         let (4, [Some(t), Some(a), Some(e), Some(r)]) = (self.order.chars().count(), sticks) else {
             return Err(InputError::new(
-                "must be A, E, T and R in the order of the channels, such as AETR or TAER",
+                "must be the letters A, E, T and R in channel order, such as AETR or TAER",
             )
             .field("rc.order")
             .value(&self.order));
@@ -526,11 +537,9 @@ impl Radio {
             in_range(field, f64::from(channel), 5.0, 16.0, "(1 to 4 are the sticks)")?;
         }
         if self.arm_channel == self.mode_channel {
-            return Err(InputError::new(
-                "arm_channel and mode_channel must differ (5 and 6 where the file has none)",
-            )
-            .field("rc")
-            .value(self.mode_channel));
+            return Err(InputError::new("arm_channel and mode_channel must differ (defaults: 5 and 6)")
+                .field("rc")
+                .value(self.mode_channel));
         }
         Ok(ChannelMap { sticks: [t, a, e, r], arm: self.arm_channel - 1, mode: self.mode_channel - 1 })
     }

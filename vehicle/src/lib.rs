@@ -1,14 +1,14 @@
-//! A vehicle as a file (`vehicles/NAME.toml`): read, checked, and turned into what the simulator and the flight
-//! controller need.
+//! Vehicle files (`vehicles/NAME.toml`): parsed, checked, and converted to the parameters of the simulator and of the
+//! flight controller.
 //!
 //! ```text
 //!  vehicles/five-inch.toml ─► Vehicle ─┬─► VehicleParams: the simulator's vehicle, f64
 //!  a scene's [vehicle] on top          └─► Params: the flight controller's configuration, f32
 //! ```
-//! The file has its figures in the units that people have, and only those that can't be derived. What can be derived is
-//! derived here, for this vehicle, and says how ([`Vehicle::derived`]): nothing is taken from another vehicle.
+//! The file holds only figures that can't be derived, in the units of datasheets (g, mm, rpm). All others are derived here
+//! for this vehicle, and each says how ([`Vehicle::derived`]). No figure is taken from another vehicle.
 #![forbid(unsafe_code)]
-// Tests may round as their machine does.
+// Tests may use the host's maths library, whose rounding differs between machines.
 #![cfg_attr(test, allow(clippy::disallowed_methods))]
 #![warn(missing_docs)]
 
@@ -27,10 +27,10 @@ use flight_core::rc::{ArmBy, ChannelMap};
 use flight_core::{Config, FlightController};
 use input::InputError;
 use input::axes::Axes;
-use input::layers::{Layers, ReadText, built_in_or_file, text_of};
+use input::layers::{Layers, ReadText, built_in_or_file, read_text};
 use toml::de::DeTable;
 
-pub use file::{Cutoff, PREFILTER_ALLOWED, estimator, prefilter_range_hz};
+pub use file::{Cutoff, PREFILTER_UNIT, estimator, prefilter_range_hz};
 pub use plant::{Axis, Loop, Margin, Plant};
 pub use tune::{MARGIN_DEG, Tuned, authority_rad_s2, tune};
 
@@ -43,45 +43,45 @@ macro_rules! vehicles {
     };
 }
 
-/// The built-in vehicles: name and text.
+/// Names and texts of the built-in vehicles.
 pub const BUILT_IN: &[(&str, &str)] = vehicles!["os4", "five-inch", "ten-inch", "hummingbird", "crazyflie"];
 
-/// The vehicle of whoever names none.
+/// Name of the vehicle that is used if none is given.
 pub const DEFAULT: &str = "os4";
 
-/// What the vehicle is made of (symbols of the paper's table 1).
+/// Physical parameters of a vehicle (with the symbols of the paper's table 1).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct VehicleParams {
-    /// m, kg.
+    /// Mass m, kg.
     pub mass_kg: f64,
-    /// I_xx, I_yy, I_zz, kg·m².
+    /// Moments of inertia I_xx, I_yy, I_zz, kg·m².
     pub inertia_kg_m2: Vec3<f64>,
-    /// J_r, kg·m².
+    /// Moment of inertia of a rotor J_r, kg·m².
     pub rotor_inertia_kg_m2: f64,
-    /// How far the front rotors are forward of the centre of gravity, and the rear ones behind it, m.
+    /// Distance of the front rotors forward of the centre of gravity, and of the rear rotors behind it, m.
     pub forward_m: f64,
-    /// How far the right rotors are to the right of it, and the left ones to the left, m.
+    /// Distance of the right rotors to the right of the centre of gravity, and of the left rotors to its left, m.
     pub right_m: f64,
-    /// Which way the rotors turn.
+    /// Directions in which the rotors turn.
     pub spin: Spin,
-    /// b, N·s².
+    /// Thrust coefficient b, N·s².
     pub thrust_coefficient: f64,
-    /// d, N·m·s².
+    /// Torque coefficient d, N·m·s².
     pub torque_coefficient: f64,
-    /// Slowest speed of an armed rotor, rad/s.
+    /// Minimum speed of an armed rotor, rad/s.
     pub idle_rad_s: f64,
     /// Speed of a rotor at full pulse, rad/s.
     pub max_rad_s: f64,
-    /// Time constant of a rotor's speed behind its command, s.
+    /// Time constant of the first-order lag from a rotor's command to its speed, s.
     pub lag_s: f64,
-    /// Feet below the centre of gravity, m.
+    /// Distance of the feet below the centre of gravity, m.
     pub feet_m: f64,
-    /// Force of the air per speed, north, east, down, kg/s.
+    /// Linear drag, force over airspeed: north, east, down, kg/s.
     pub drag_kg_per_s: Vec3<f64>,
 }
 
 impl VehicleParams {
-    /// OS4 (Bouabdallah, EPFL thesis 3727, 2007), as `vehicles/os4.toml` has it.
+    /// OS4 (Bouabdallah, EPFL thesis 3727, 2007), with the figures of `vehicles/os4.toml`.
     pub const OS4: Self = Self {
         mass_kg: 0.65,
         inertia_kg_m2: vec3(7.5e-3, 7.5e-3, 1.3e-2),
@@ -98,64 +98,64 @@ impl VehicleParams {
         drag_kg_per_s: vec3(0.25, 0.25, 0.25),
     };
 
-    /// l, m: centre of gravity to rotor axis.
+    /// Returns the arm l, m: the distance from the centre of gravity to a rotor's axis.
     pub fn arm_m(&self) -> f64 {
         libm::hypot(self.forward_m, self.right_m)
     }
 
-    /// Moves the rotors out or in, so that they are `arm_m` from the centre of gravity.
+    /// Moves the rotors outwards or inwards, so that their distance from the centre of gravity is `arm_m`.
     pub fn set_arm_m(&mut self, arm_m: f64) {
-        let share = arm_m / self.arm_m();
-        self.forward_m *= share;
-        self.right_m *= share;
+        let scale = arm_m / self.arm_m();
+        self.forward_m *= scale;
+        self.right_m *= scale;
     }
 
-    /// Thrust of all rotors at full speed, N.
+    /// Returns the thrust of all rotors at full speed, N.
     pub fn max_thrust_n(&self) -> f64 {
         4.0 * self.thrust_coefficient * self.max_rad_s * self.max_rad_s
     }
 
-    /// Throttle at which the rotors carry the weight, 0 to 1: throttle is a share of the largest thrust.
+    /// Returns the throttle at which the thrust equals the weight, 0 to 1. Throttle is a share of the maximum thrust.
     pub fn hover_throttle(&self) -> f64 {
         self.mass_kg * GRAVITY / self.max_thrust_n()
     }
 
-    /// Speed of the rotors that carry the weight, rad/s.
+    /// Returns the rotor speed at which the thrust equals the weight, rad/s.
     pub fn hover_rad_s(&self) -> f64 {
         (self.mass_kg * GRAVITY / (4.0 * self.thrust_coefficient)).sqrt()
     }
 }
 
-/// A figure that the file does not say, and where it is from.
+/// A figure that is not in the file, and how it was derived.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Derived {
-    /// What, with its unit.
+    /// Name of the figure.
     pub what: &'static str,
-    /// Its value, for people.
+    /// Value with its unit, as text.
     pub value: String,
-    /// How it follows from the file.
+    /// How the value follows from the file.
     pub how: String,
-    /// Whether it is an estimate, to be replaced by a measurement.
+    /// Whether the value is an estimate, to be replaced by a measurement.
     pub estimate: bool,
 }
 
-/// The protocol to the ESCs, by the name that the firmware's build takes.
+/// The protocol to the ESCs.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum EscProtocol {
-    /// Pulses at 400 Hz.
+    /// PWM: pulses of 1 to 2 ms at 400 Hz.
     Pwm,
-    /// Pulses of an eighth.
+    /// OneShot125: pulses of an eighth of that length.
     OneShot125,
-    /// Bits of 3⅓ µs.
+    /// DShot300: bits of 3⅓ µs.
     #[default]
     DShot300,
-    /// Bits of 1⅔ µs.
+    /// DShot600: bits of 1⅔ µs.
     DShot600,
 }
 
 impl EscProtocol {
-    /// As in the file.
+    /// Returns the name that vehicle files use.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Pwm => "pwm",
@@ -166,83 +166,86 @@ impl EscProtocol {
     }
 }
 
-/// A vehicle.
+/// A vehicle: the checked content of a vehicle file, and the figures that are derived from it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Vehicle {
-    /// Name of a built-in vehicle, or the file's.
+    /// Name of a built-in vehicle, or path of the file.
     pub name: String,
-    /// What it is, in a line.
+    /// Description in one line.
     pub description: String,
-    /// The simulator's vehicle.
+    /// Physical parameters, as the simulator uses them.
     pub params: VehicleParams,
-    /// Cells of the battery in series.
+    /// Number of battery cells in series.
     pub cells: u8,
     /// Protocol to the ESCs.
     pub esc: EscProtocol,
-    /// Gains and limits.
+    /// Gains and limits of the control loops.
     pub control: ControlParams,
     /// Estimator of the attitude.
     pub estimator: EstimatorParams,
-    /// Cutoff of the prefilter, Hz; `None` for none.
+    /// Cutoff of the prefilter, Hz; `None` for no prefilter.
     pub prefilter_hz: Option<f64>,
-    /// Below this voltage a flight may not start, V.
+    /// Battery voltage below which the vehicle does not arm, V.
     pub min_arm_voltage_v: f64,
-    /// Below this voltage a flight must end, V.
+    /// Battery voltage below which a flight must end, V.
     pub critical_voltage_v: f64,
     /// Throttle of the descent without a pilot, 0 to 1.
     pub descent_throttle: f64,
-    /// The receiver's channels.
+    /// Receiver channels of the sticks and switches.
     pub channels: ChannelMap,
-    /// How the pilot arms.
+    /// How the pilot arms: by the sticks or by a switch.
     pub arm_by: ArmBy,
-    /// Where the board's forward, right and down point in the vehicle.
+    /// Directions of the board's forward, right and down in the vehicle.
     pub board_axes: Axes,
-    /// Where the magnetometer's x, y and z point in the vehicle.
+    /// Directions of the magnetometer's x, y and z in the vehicle.
     pub magnetometer_axes: Axes,
-    /// What the file does not say, and how it was found.
+    /// Figures that are not in the file, and how they were derived.
     pub derived: Vec<Derived>,
 }
 
 impl Vehicle {
-    /// A built-in vehicle by name, or a vehicle file by path.
+    /// Loads a built-in vehicle by name, or a vehicle file by path.
     ///
     /// # Errors
-    /// A name that is neither, with the nearest built-in one; anything wrong in the file.
+    /// The name is neither a built-in vehicle nor a file: the error suggests the nearest built-in name. The file is
+    /// invalid.
     pub fn load(name_or_path: &str) -> Result<Self, InputError> {
-        let (name, text) = find(name_or_path, Path::new(""), &text_of)
+        let (name, text) = find(name_or_path, Path::new(""), &read_text)
             .map_err(|error| error.field("VEHICLE").value(name_or_path))?;
         Self::parse(&name, &text)
     }
 
-    /// Reads a vehicle from TOML; `name` is what errors and results call it.
+    /// Parses a vehicle from TOML. Errors and results show `name`.
     ///
     /// # Errors
-    /// Anything wrong in the text.
+    /// The text is invalid.
     pub fn parse(name: &str, text: &str) -> Result<Self, InputError> {
         if text.trim().is_empty() {
-            return Err(
-                InputError::new("is empty; a vehicle needs mass_g, cells and [rotors] at least").file(name)
-            );
+            return Err(InputError::new(
+                "is empty: a vehicle needs at least mass_g, cells, [inertia] and [rotors]",
+            )
+            .file(name));
         }
         let mut layers = Layers::default();
         let table = layers.add(name, text)?;
-        Self::of_table(name, &layers, table).map_err(|error| error.file(name))
+        Self::from_table(name, &layers, table).map_err(|error| error.file(name))
     }
 
-    /// Reads a vehicle from a table of `layers`: what a scene makes of a vehicle's file and its own changes.
+    /// Builds a vehicle from a table of `layers`: a vehicle file, with the changes that a scene makes to it.
     ///
     /// # Errors
-    /// Anything wrong in the table. Errors of a value have no file yet: it may be of any of the layers.
-    pub fn of_table<'a>(name: &str, layers: &Layers<'a>, table: DeTable<'a>) -> Result<Self, InputError> {
+    /// The table is invalid. An error about a value has no file yet, because the value can be from any of the layers.
+    pub fn from_table<'a>(name: &str, layers: &Layers<'a>, table: DeTable<'a>) -> Result<Self, InputError> {
         let vehicle = layers.read::<file::File>(table)?.build(name)?;
-        // What is computed from the file's figures must do for the flight controller, too.
+        // The flight controller checks the derived figures, too.
         let config = Config { params: vehicle.flight_params(&Params::default()), calibration: None };
-        FlightController::new(&config)
-            .map_err(|error| InputError::new(format!("makes no flight controller: {error}")))?;
+        FlightController::new(&config).map_err(|error| {
+            InputError::new(format!("the flight controller rejects the configuration: {error}"))
+        })?;
         Ok(vehicle)
     }
 
-    /// The flight controller's configuration of this vehicle, with the sensors of `board`.
+    /// Returns the flight controller's parameters for this vehicle, with the sensors of `board`.
     pub fn flight_params(&self, board: &Params) -> Params {
         let v = &self.params;
         let Vec3 { x, y, z } = v.inertia_kg_m2;
@@ -269,8 +272,8 @@ impl Vehicle {
         }
     }
 
-    /// `params` for a board that is built into this vehicle: with how it lies there, and how the magnetometer does.
-    pub fn mounted(&self, mut params: Params) -> Params {
+    /// Returns `params` with this vehicle's mountings of the board and of the magnetometer.
+    pub fn with_mounting(&self, mut params: Params) -> Params {
         params.gyro.mounting = matrix(&self.board_axes);
         params.accel.mounting = matrix(&self.board_axes);
         params.mag.mounting = matrix(&self.magnetometer_axes);
@@ -278,20 +281,20 @@ impl Vehicle {
     }
 }
 
-/// A mounting as the rotation from a chip's axes to the body's.
+/// Converts a mounting to the rotation from the chip's axes to the body's.
 pub fn matrix(axes: &Axes) -> Mat3<f32> {
     Mat3 { rows: axes.rows().map(|row| Vec3::from(row.map(f32::from))) }
 }
 
-/// Whether a built-in vehicle has this name.
+/// Returns whether a built-in vehicle has this name.
 pub fn is_built_in(name: &str) -> bool {
     BUILT_IN.iter().any(|(built_in, _)| *built_in == name)
 }
 
-/// Name and text of a built-in vehicle, or of a file beside `from`.
+/// Returns name and text of a built-in vehicle, or of a vehicle file in the directory of `from`.
 ///
 /// # Errors
-/// Neither, with the nearest built-in one.
+/// The file cannot be read. `name` is neither: the error suggests the nearest built-in name.
 pub fn find(name: &str, from: &Path, read: ReadText) -> Result<(String, String), InputError> {
     built_in_or_file("vehicle", BUILT_IN, name, from, read)
         .map_err(|(path, error)| InputError::new(format!("{} cannot be read: {error}", path.display())))?

@@ -1,11 +1,11 @@
-//! The loops of the cascade, broken at the rotors.
+//! The open loops of the control cascade, broken at the rotors' command.
 //!
 //! ```text
 //!  L(s) = (P + I/s + D s + K (P + I/s)/s) F(s) e^(−s T) / ((1 + s τ) s)
 //! ```
-//! P, I and D are the rate loop's gains and K the angle loop's ([`ControlParams`]), F the prefilter, T the time from a
-//! sample to its command at the motor, τ the rotors' lag. The inertia is not in it: the rate loop's gains are in angular
-//! acceleration.
+//! P, I and D are the gains of the rate loop and K is the gain of the angle loop ([`ControlParams`]). F is the prefilter,
+//! T the time from a sample to its command at the motor, and τ the rotors' lag. The inertia does not appear, because the
+//! rate loop's output is an angular acceleration.
 
 use std::f64::consts::{SQRT_2, TAU};
 
@@ -14,17 +14,17 @@ use num_complex::Complex64;
 
 use crate::{EscProtocol, Vehicle, VehicleParams};
 
-/// Samples a second.
+/// Sample rate of the control loop, Hz.
 const RATE_HZ: f64 = 1_000.0;
 
-/// What the loops act on.
+/// The controlled system: rotors, prefilter and delay.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Plant {
-    /// τ, the rotors' lag, s.
+    /// Time constant of the rotors τ, s.
     pub lag_s: f64,
-    /// Cutoff of the prefilter, a Butterworth of 2nd order, Hz.
+    /// Cutoff of the prefilter (a second-order Butterworth low-pass), Hz; `None` for no prefilter.
     pub prefilter_hz: Option<f64>,
-    /// T, s.
+    /// Time from a sample to its command at the motor T, s.
     pub delay_s: f64,
 }
 
@@ -39,45 +39,45 @@ pub enum Axis {
     Yaw,
 }
 
-/// A loop of one axis: its gains.
+/// The gains of one axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Loop {
-    /// Rate loop, 1/s.
+    /// Proportional gain of the rate loop, 1/s.
     pub p: f64,
-    /// Rate loop, 1/s².
+    /// Integral gain of the rate loop, 1/s².
     pub i: f64,
-    /// Rate loop, dimensionless.
+    /// Derivative gain of the rate loop, dimensionless.
     pub d: f64,
-    /// Angle loop, 1/s.
+    /// Proportional gain of the angle loop, 1/s.
     pub k: f64,
 }
 
-/// Where a loop's gain passes 1, and what it has left there.
+/// The crossover of a loop (the frequency at which its gain is 1) and the phase margin there.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Margin {
-    /// rad/s.
+    /// Crossover, rad/s.
     pub crossover_rad_s: f64,
-    /// Degrees.
+    /// Phase margin, degrees.
     pub phase_deg: f64,
 }
 
 impl Plant {
-    /// That of a vehicle.
+    /// Returns the plant of a vehicle.
     pub fn of(vehicle: &Vehicle) -> Self {
         Self::new(&vehicle.params, vehicle.prefilter_hz, vehicle.esc)
     }
 
-    /// That of rotors behind this prefilter and this protocol.
+    /// Returns the plant of these rotors with this prefilter and this ESC protocol.
     pub fn new(params: &VehicleParams, prefilter_hz: Option<f64>, esc: EscProtocol) -> Self {
         Self { lag_s: params.lag_s, prefilter_hz, delay_s: delay_s(esc) }
     }
 
-    /// How long the prefilter delays low frequencies, s: √2/(2π f), the slope of its phase at zero.
+    /// Returns the prefilter's delay of low frequencies, s: √2/(2π f), the slope of its phase at zero frequency.
     pub fn prefilter_delay_s(&self) -> f64 {
         self.prefilter_hz.map_or(0.0, |hz| SQRT_2 / (TAU * hz))
     }
 
-    /// The loop's response at ω rad/s.
+    /// Returns the open loop's complex response at ω = `w` rad/s.
     pub fn open_loop(&self, gains: &Loop, w: f64) -> Complex64 {
         let s = Complex64::new(0.0, w);
         let Loop { p, i, d, k } = *gains;
@@ -89,10 +89,11 @@ impl Plant {
         controller * prefilter * (-s * self.delay_s).exp() / ((1.0 + s * self.lag_s) * s)
     }
 
-    /// The margin at the highest frequency at which the loop has a gain of 1.
+    /// Returns the margin at the highest frequency at which the loop's gain is 1.
     pub fn margin(&self, gains: &Loop) -> Margin {
         let gain = |w: f64| self.open_loop(gains, w).norm();
-        // Down from where it certainly is below 1, then between the two neighbours.
+        // The search starts at 10⁴ rad/s, where the gain is below 1, and goes down in steps of 2 % until the gain is at
+        // least 1. Bisection then refines the crossover.
         let (mut low, mut high) = (1.0e4, 1.0e4);
         while gain(low) < 1.0 && low > 1.0e-3 {
             high = low;
@@ -103,17 +104,17 @@ impl Plant {
             if gain(middle) < 1.0 { high = middle } else { low = middle }
         }
         let phase_deg = self.open_loop(gains, low).arg().to_degrees();
-        // From −180°: a loop that lags more than that has a negative margin.
+        // The margin counts from −180°: a loop with more lag has a negative margin.
         let margin = phase_deg + 180.0;
         Margin { crossover_rad_s: low, phase_deg: if margin > 180.0 { margin - 360.0 } else { margin } }
     }
 }
 
-/// From a sample to its command at the motor, s: half a period that a command stands, and what the protocol takes
-/// (docs/timing.md).
+/// Returns the time from a sample to its command at the motor, s: half of the period during which a command holds, plus
+/// the protocol's time (docs/timing.md).
 fn delay_s(esc: EscProtocol) -> f64 {
     let protocol = match esc {
-        // Half of the 2.5 ms to the next pulse, and a pulse of 1.5 ms.
+        // Half of the 2.5 ms period of the pulses, plus a pulse of 1.5 ms.
         EscProtocol::Pwm => 2.75e-3,
         EscProtocol::OneShot125 => 0.2e-3,
         EscProtocol::DShot300 => 0.06e-3,
@@ -123,7 +124,7 @@ fn delay_s(esc: EscProtocol) -> f64 {
 }
 
 impl Loop {
-    /// That of an axis.
+    /// Returns the gains of an axis.
     pub fn of(control: &ControlParams, axis: Axis) -> Self {
         let of = |v: flight_core::geometry::Vec3<f32>| {
             f64::from(match axis {

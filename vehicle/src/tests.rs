@@ -7,7 +7,7 @@ fn os4() -> Vehicle {
     Vehicle::load("os4").unwrap()
 }
 
-/// OS4's text with a line replaced.
+/// Parses OS4's text with a line replaced.
 fn altered(line: &str, by: &str) -> Result<Vehicle, InputError> {
     let text = BUILT_IN[0].1;
     assert!(text.contains(line), "no {line}");
@@ -15,7 +15,7 @@ fn altered(line: &str, by: &str) -> Result<Vehicle, InputError> {
 }
 
 #[test]
-fn every_built_in_vehicle_is_one_that_the_flight_controller_takes() {
+fn flight_controller_accepts_each_built_in_vehicle() {
     for (name, _) in BUILT_IN {
         let vehicle = Vehicle::load(name).unwrap();
         let params = vehicle.flight_params(&Params::default());
@@ -31,9 +31,9 @@ fn every_built_in_vehicle_is_one_that_the_flight_controller_takes() {
     }
 }
 
-/// flight-core's own defaults are those of OS4's file.
+/// flight-core's defaults equal the figures of OS4's file.
 #[test]
-fn os4_is_the_flight_controllers_default() {
+fn flight_controller_defaults_are_os4() {
     let ours = os4().flight_params(&Params::default());
     let default = Params::default();
     let near = |a: f32, b: f32| (a / b - 1.0).abs() < 1e-3;
@@ -52,13 +52,13 @@ fn os4_is_the_flight_controllers_default() {
 }
 
 #[test]
-fn os4_in_the_source_is_os4_in_the_file() {
+fn constant_os4_equals_the_file() {
     assert_eq!(os4().params, VehicleParams::OS4);
 }
 
-/// By hand, in the units of the file: 0.65 kg · 9.80665 = 6.374 N of 4 · 1.2e-6 · 2570² = 31.70 N.
+/// Computed by hand, in the units of the file: 0.65 kg · 9.80665 = 6.374 N of 4 · 1.2e-6 · 2570² = 31.70 N.
 #[test]
-fn what_is_derived_is_this_vehicles() {
+fn derived_figures_follow_from_the_file() {
     let v = Vehicle::load("five-inch").unwrap();
     assert!((v.params.hover_throttle() - 0.2011).abs() < 1e-4);
     assert!((v.params.hover_rad_s() - 1152.4).abs() < 0.5);
@@ -66,7 +66,7 @@ fn what_is_derived_is_this_vehicles() {
     assert!((f64::from(v.control.begin_throttle) - 0.2 * 0.2011).abs() < 1e-4);
     assert_eq!((v.min_arm_voltage_v, v.critical_voltage_v), (14.0, 12.0));
     assert_eq!(v.params.spin, Spin::PropsIn);
-    // Thrust by a stand's figure: 1.9 kg at 11,000 rpm, 1,151.9 rad/s.
+    // Thrust from a thrust stand's figure: 1.9 kg at 11,000 rpm, which is 1,151.9 rad/s.
     let v = Vehicle::load("ten-inch").unwrap();
     assert!((v.params.thrust_coefficient / (1.9 * 9.80665 / 1151.917_f64.powi(2)) - 1.0).abs() < 1e-6);
     // A box of 1.5 kg, 180 by 90 by 70 mm, and 0.9 kg 165 mm to the side.
@@ -76,17 +76,17 @@ fn what_is_derived_is_this_vehicles() {
 }
 
 #[test]
-fn the_speed_is_that_of_kv_and_cells() {
+fn full_speed_follows_from_kv_and_cells() {
     let v = altered("max_rad_s = 319.0", "kv_rpm_per_v = 380.0").unwrap();
     // 380 rpm/V · 11.1 V · 75 % = 3,163.5 rpm.
     assert!((v.params.max_rad_s - 3163.5 / 60.0 * std::f64::consts::TAU).abs() < 0.1);
     assert!(v.derived.iter().any(|derived| derived.what == "speed at full throttle" && derived.estimate));
 }
 
-/// The plant of OS4 with its gains found by hand: 20 rad/s and 61° (without the delay to the motors, which costs
-/// another degree).
+/// OS4 with its hand-tuned gains has a crossover of 20 rad/s and a margin of 61°, without the delay to the motors. The
+/// delay takes another degree.
 #[test]
-fn os4_has_the_margin_that_its_gains_promise() {
+fn os4_gains_have_the_expected_margin() {
     let v = os4();
     let gains = Loop::of(&v.control, Axis::Roll);
     let plant = Plant { delay_s: 0.0, ..Plant::of(&v) };
@@ -95,7 +95,7 @@ fn os4_has_the_margin_that_its_gains_promise() {
         (margin.crossover_rad_s - 20.0).abs() < 1.0 && (margin.phase_deg - 61.0).abs() < 2.0,
         "{margin:?}"
     );
-    // A delay T costs ω T.
+    // A delay T reduces the phase by ω T.
     let late = Plant { delay_s: 5e-3, ..plant }.margin(&gains);
     let lost = (margin.phase_deg - late.phase_deg).to_radians();
     assert!((lost / (5e-3 * margin.crossover_rad_s) - 1.0).abs() < 0.05);
@@ -103,19 +103,19 @@ fn os4_has_the_margin_that_its_gains_promise() {
 }
 
 #[test]
-fn tuned_gains_have_the_margin_and_are_near_those_found_by_hand() {
+fn tuned_gains_have_the_margin_and_match_hand_tuning() {
     for (name, _) in BUILT_IN {
         let v = Vehicle::load(name).unwrap();
         let plant = Plant::of(&v);
         let tuned = tune(&v.params, &plant, MARGIN_DEG);
         for gains in [tuned.tilt, Loop { k: 0.0, ..tuned.yaw }] {
             let margin = plant.margin(&gains);
-            // One of the two limits is reached, and none is passed.
+            // One of the two limits is reached, and neither is exceeded.
             let (over_deg, corner) = (margin.phase_deg - MARGIN_DEG, margin.crossover_rad_s * plant.lag_s);
             assert!(over_deg > -0.2 && corner < 1.005, "{name}: {margin:?}");
             assert!(over_deg < 0.3 || corner > 0.97, "{name}: {margin:?}");
         }
-        // With its angle loop, too, yaw is far from swinging.
+        // With its angle loop, yaw still has a margin above 35°.
         assert!(plant.margin(&tuned.yaw).phase_deg > 35.0, "{name}");
     }
     let v = os4();
@@ -125,13 +125,13 @@ fn tuned_gains_have_the_margin_and_are_near_those_found_by_hand() {
 }
 
 #[test]
-fn mistakes_are_named() {
-    for (line, by, said) in [
+fn errors_name_file_field_and_limit() {
+    for (line, by, expected) in [
         ("mass_g = 650.0", "mass_g = -1.0", "altered.toml: mass_g = -1: must be from 10 to 100000 g"),
         (
             "mass_g = 650.0",
             "mass_g = 2000.0",
-            "altered.toml: mass_g = 2000: is too much for rotors that lift 1299 g",
+            "altered.toml: mass_g = 2000: is too heavy for rotors that lift 1299 g",
         ),
         ("mass_g = 650.0", "mass_kg = 0.65", "altered.toml:4: unknown field `mass_kg`"),
         (
@@ -171,7 +171,7 @@ fn mistakes_are_named() {
         (
             "max_rad_s = 319.0",
             "kv_rpm_per_v = 30000.0",
-            "rotors.kv_rpm_per_v = 30000: makes 26154 rad/s at full throttle with 3 cells: must be from 65 to 10000 rad/s",
+            "rotors.kv_rpm_per_v = 30000: gives 26154 rad/s at full throttle with 3 cells: must give from 65 to 10000 rad/s",
         ),
         (
             "[gains]",
@@ -191,15 +191,17 @@ fn mistakes_are_named() {
         ),
     ] {
         let error = altered(line, by).unwrap_err().to_string();
-        assert!(error.contains(said), "{error}\n{said}");
+        assert!(error.contains(expected), "{error}\n{expected}");
         assert_eq!(error.lines().count(), 1);
     }
-    // Gains that are computed must do, too.
-    let (before_gains, _) = BUILT_IN[0].1.split_once("# Found by hand").unwrap();
+    // The flight controller checks computed gains, too.
+    let (before_gains, _) = BUILT_IN[0].1.split_once("# Tuned by hand").unwrap();
     let slight = before_gains.replace("kg_m2 = [7.5e-3, 7.5e-3, 1.3e-2]", "kg_m2 = [1e-5, 1e-5, 1.9e-5]");
     let error = Vehicle::parse("slight.toml", &slight).unwrap_err().to_string();
     assert!(
-        error.starts_with("slight.toml: makes no flight controller: control.max_integral_rad_s2"),
+        error.starts_with(
+            "slight.toml: the flight controller rejects the configuration: control.max_integral_rad_s2"
+        ),
         "{error}"
     );
     let without = altered("[gains]", "[filters]\nprefilter_hz = \"none\"\n[gains]").unwrap();
@@ -210,17 +212,17 @@ fn mistakes_are_named() {
 }
 
 #[test]
-fn the_receivers_channels_are_those_of_the_file() {
+fn channel_map_follows_the_file() {
     let rc = |lines: &str| Vehicle::parse("x.toml", &format!("{}\n[rc]\n{lines}", BUILT_IN[0].1));
     assert_eq!(os4().channels, ChannelMap::AETR);
     let taer = rc("order = \"TAER\"\narm_channel = 7\narm_by = \"switch\"").unwrap();
     assert_eq!(taer.channels, ChannelMap { sticks: [0, 1, 2, 3], arm: 6, mode: 5 });
     assert_eq!(taer.arm_by, ArmBy::Switch);
-    for (lines, said) in [
-        ("order = \"AETT\"", "rc.order = AETT: must be A, E, T and R"),
+    for (lines, expected) in [
+        ("order = \"AETT\"", "rc.order = AETT: must be the letters A, E, T and R"),
         ("arm_channel = 3", "rc.arm_channel = 3: must be from 5 to 16"),
         ("mode_channel = 5", "rc = 5: arm_channel and mode_channel must differ"),
     ] {
-        assert!(rc(lines).unwrap_err().to_string().contains(said), "{lines}");
+        assert!(rc(lines).unwrap_err().to_string().contains(expected), "{lines}");
     }
 }

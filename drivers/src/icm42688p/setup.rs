@@ -1,34 +1,35 @@
 //! The set-up, in steps that do not wait.
 //!
 //! ```text
-//!  0 ms    2 ms              4 ms                            35 ms                        55 ms
-//!  begun   told to reset     settings written and checked,   the gyroscope has started,   the data-ready line
-//!                            both sensors on                 and the mode has been kept   has risen 20 times
+//!  0 ms    2 ms             4 ms                           35 ms                         55 ms
+//!  begin   reset command    settings written and checked,  gyroscope started, mode       20 edges of the data-ready
+//!                           both sensors on                still as written              line have been counted
 //! ```
-//! The times are those at which a step is due. Whoever calls [`Setup::step`] once a millisecond finds the sensor set
-//! up after 59 ms at most.
+//! These are the times at which a step is due. With one call of [`Setup::step`] a millisecond, the set-up takes 59 ms
+//! at most.
 
 use embedded_hal::spi::SpiDevice;
 
 use super::*;
 
-/// From power-up to the first access 1 ms (table 4). The supply may have come up just now.
+/// Wait before the first access, µs. The datasheet asks for 1 ms after power-up (table 4), and the supply may have come
+/// up just now.
 const POWER_UP_US: u32 = 2_000;
-/// The reset takes up to 1 ms.
+/// Time for the reset, µs: up to 1 ms by the datasheet.
 const RESET_US: u32 = 2_000;
-/// After the mode has changed, no register may be written for 200 µs, and the gyroscope takes 30 ms to start (table
-/// 1). A millisecond is for the step that changes the mode at its end. The gyroscope must stay on for 45 ms at least:
-/// an attempt that fails goes on after more than that.
+/// Wait after the mode change, µs. No register may be written for 200 µs after it, and the gyroscope takes 30 ms to
+/// start (table 1). The step that changes the mode at its end may take 1 ms of this. The gyroscope must stay on for at
+/// least 45 ms: a failed attempt waits longer than that before the next one.
 const START_US: u32 = 31_000;
-/// For so long the edges of the data-ready line are counted, ...
+/// Time during which edges of the data-ready line are counted, µs.
 const COUNT_US: u32 = 20_000;
-/// ... of which there must be one in each millisecond, but for a fifth: for the chip's own clock, and for those at
-/// either end. The next rates that the chip has are half and twice this one.
+/// Expected time between edges, µs. The count may differ by a fifth: for the tolerance of the chip's clock, and for the
+/// edges at start and end. The nearest other rates of the chip are half and twice this one.
 const PERIOD_US: u32 = 1_000;
 
-/// How long it is until the next attempt, µs. The first few are close together if the sensor does not answer: its
-/// supply may be back in a few milliseconds, and in flight there are 100 ms in all. Then come attempts 150 ms apart, up
-/// to the twentieth; then one a second, for ever.
+/// Returns the time until the next attempt, µs. If the IMU does not answer, the first attempts follow each other
+/// closely: its supply may be back in a few milliseconds, and in flight there are only 100 ms. Then attempts follow
+/// every 150 ms up to the twentieth, and after that every second without end.
 const fn pause_us(attempt: u32, sensors_on: bool) -> u32 {
     match attempt {
         ..=5 if !sensors_on => 5_000,
@@ -37,7 +38,7 @@ const fn pause_us(attempt: u32, sensors_on: bool) -> u32 {
     }
 }
 
-/// What WHO_AM_I reads.
+/// Content of WHO_AM_I.
 const IDENTITY: u8 = 0x47;
 
 /// Anti-alias filter at 258 Hz (section 5.3).
@@ -45,9 +46,9 @@ const AAF_DELT: u8 = 6;
 const AAF_DELTSQR: u16 = 36;
 const AAF_BITSHIFT: u8 = 10;
 
-/// Settings that are written as a whole, in this order, with both sensors off.
+/// Registers that are written completely, in this order, with both sensors off.
 const SETTINGS: [(Register, u8); 12] = [
-    // Only SPI is listened to; data most significant byte first; invalid data is marked as such.
+    // Only SPI is enabled; data have the most significant byte first; invalid data are marked as such.
     (INTF_CONFIG0, 0x33),
     (GYRO_CONFIG_STATIC3, AAF_DELT),
     (GYRO_CONFIG_STATIC4, AAF_DELTSQR as u8),
@@ -63,24 +64,24 @@ const SETTINGS: [(Register, u8); 12] = [
     (INT_CONFIG, 0b011),
     // INT_ASYNC_RESET is set after a reset, and must be cleared for INT1 to work.
     (INT_CONFIG1, 0x00),
-    // Data ready goes to INT1, and nothing else.
+    // Only data ready is routed to INT1.
     (INT_SOURCE0, 0x08),
 ];
 
 /// Both sensors in low-noise mode.
 const BOTH_LOW_NOISE: u8 = 0x0f;
 
-/// Why the sensor could not be set up.
+/// Reason why a set-up attempt failed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SetupError<E> {
     /// The bus failed.
     Bus(E),
-    /// Another chip answers, or none.
+    /// Another chip answers, or none. Holds the content of WHO_AM_I.
     Identity(u8),
-    /// The chip did not reset when told to.
+    /// The chip did not reset on command.
     NotReset,
-    /// A register does not hold what was written to it.
-    NotKept {
+    /// A register does not hold the value that was written.
+    ReadbackMismatch {
         /// Bank of the register.
         bank: u8,
         /// Address of the register.
@@ -88,7 +89,7 @@ pub enum SetupError<E> {
     },
     /// The data-ready line does not rise 1,000 times a second: no samples, another rate, or the line is broken.
     Rate {
-        /// Edges in 20 ms.
+        /// Edges counted in 20 ms.
         edges: u32,
     },
 }
@@ -100,46 +101,46 @@ impl<E> From<E> for SetupError<E> {
 }
 
 impl<E> SetupError<E> {
-    /// For people.
+    /// Returns a description for the log.
     pub const fn text(&self) -> &'static str {
         match self {
-            Self::Bus(_) => "the bus failed",
-            Self::Identity(_) => "another chip answers, or none: identity",
-            Self::NotReset => "does not reset",
-            Self::NotKept { .. } => "does not take a setting: bank and register",
-            Self::Rate { .. } => "data ready does not rise 20 times in 20 ms: times",
+            Self::Bus(_) => "bus error:",
+            Self::Identity(_) => "wrong chip or no answer: WHO_AM_I",
+            Self::NotReset => "no reset on command:",
+            Self::ReadbackMismatch { .. } => "setting not kept: bank and register",
+            Self::Rate { .. } => "wrong data-ready rate: edges in 20 ms",
         }
     }
 
-    /// The number that belongs to [`Self::text`]; 0 if none does.
+    /// Returns the number that belongs to [`Self::text`]; 0 if there is none.
     pub const fn number(&self) -> u32 {
         match *self {
             Self::Bus(_) | Self::NotReset => 0,
             Self::Identity(identity) => identity as u32,
-            Self::NotKept { bank, address } => (bank as u32) << 8 | address as u32,
+            Self::ReadbackMismatch { bank, address } => (bank as u32) << 8 | address as u32,
             Self::Rate { edges } => edges,
         }
     }
 }
 
-/// What has become of the set-up.
+/// Result of a set-up step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Progress<E> {
-    /// It is under way, or waits for its next attempt.
+    /// The set-up is in progress, or waits for its next attempt.
     Waiting,
-    /// The sensor samples.
+    /// The IMU samples.
     Done,
     /// This attempt has failed; another one follows.
     Failed(SetupError<E>),
 }
 
-/// What comes next.
+/// The next stage.
 #[derive(Clone, Copy)]
 enum Stage {
     Reset,
     Settings,
-    Count,
-    End { since_us: u32, edges: u32 },
+    CountEdges,
+    CheckRate { since_us: u32, edges: u32 },
 }
 
 /// The set-up.
@@ -150,14 +151,14 @@ pub struct Setup {
 }
 
 impl Setup {
-    /// Begins at `now_us`, on a counter that may wrap.
+    /// Starts at `now_us`, on a counter that may wrap.
     pub const fn new(now_us: u32) -> Self {
         Self { stage: Stage::Reset, due_us: now_us.wrapping_add(POWER_UP_US), attempt: 1 }
     }
 
-    /// Does what is due, which takes up to 60 transactions of two bytes. SPI mode 0 or 3, up to 24 MHz; nobody else
-    /// may use the sensor meanwhile, nor between two steps. `edges` is how often its data-ready line has risen so
-    /// far, on a counter that may wrap.
+    /// Runs the stage that is due, which takes up to 60 transactions of two bytes. SPI mode 0 or 3, up to 24 MHz. No
+    /// other code may use the IMU during the set-up, including between two steps. `edges` is how often the data-ready
+    /// line has risen so far, on a counter that may wrap.
     pub fn step<SPI: SpiDevice>(&mut self, spi: &mut SPI, now_us: u32, edges: u32) -> Progress<SPI::Error> {
         if (now_us.wrapping_sub(self.due_us) as i32) < 0 {
             return Progress::Waiting;
@@ -166,7 +167,7 @@ impl Setup {
             Ok(None) => return Progress::Done,
             Ok(Some(wait_us)) => wait_us,
             Err(error) => {
-                let sensors_on = matches!(self.stage, Stage::Count | Stage::End { .. });
+                let sensors_on = matches!(self.stage, Stage::CountEdges | Stage::CheckRate { .. });
                 *self = Self {
                     stage: Stage::Reset,
                     due_us: now_us.wrapping_add(pause_us(self.attempt, sensors_on)),
@@ -179,12 +180,12 @@ impl Setup {
         Progress::Waiting
     }
 
-    /// Which attempt is under way, or comes next: from 1.
+    /// Returns the number of the current or next attempt, from 1.
     pub const fn attempt(&self) -> u32 {
         self.attempt
     }
 
-    /// Does the stage, and says how long the next one must wait; `None` after the last.
+    /// Runs the current stage and returns how long the next one must wait, µs; `None` after the last.
     fn advance<SPI: SpiDevice>(
         &mut self,
         imu: &mut Registers<'_, SPI>,
@@ -197,14 +198,14 @@ impl Setup {
                 (Stage::Settings, RESET_US)
             }
             Stage::Settings => {
-                imu.set_up()?;
-                (Stage::Count, START_US)
+                imu.write_settings()?;
+                (Stage::CountEdges, START_US)
             }
-            Stage::Count => {
+            Stage::CountEdges => {
                 imu.check(PWR_MGMT0, BOTH_LOW_NOISE)?;
-                (Stage::End { since_us: now_us, edges }, COUNT_US)
+                (Stage::CheckRate { since_us: now_us, edges }, COUNT_US)
             }
-            Stage::End { since_us, edges: before } => {
+            Stage::CheckRate { since_us, edges: before } => {
                 let edges = edges.wrapping_sub(before);
                 let us = now_us.wrapping_sub(since_us);
                 let tolerated_us = us / 5;
@@ -219,14 +220,15 @@ impl Setup {
     }
 }
 
-/// The sensor's registers.
+/// Access to the chip's registers.
 struct Registers<'a, SPI> {
     spi: &'a mut SPI,
 }
 
 impl<SPI: SpiDevice> Registers<'_, SPI> {
-    /// After its reset: the settings, and both sensors on. Bank 0 is selected at the end, as a burst needs it.
-    fn set_up(&mut self) -> Result<(), SetupError<SPI::Error>> {
+    /// Writes and checks the settings after a reset, and switches both sensors on. Selects bank 0 at the end, as bursts
+    /// need it.
+    fn write_settings(&mut self) -> Result<(), SetupError<SPI::Error>> {
         let identity = self.read(WHO_AM_I)?;
         if identity != IDENTITY {
             return Err(SetupError::Identity(identity));
@@ -240,8 +242,8 @@ impl<SPI: SpiDevice> Registers<'_, SPI> {
         for (register, value) in SETTINGS {
             self.check(register, value)?;
         }
-        // Bits 7:6 from 10 to 01 switch off the adaptive full-scale feature, in which the gyroscope's output
-        // stands still for milliseconds at a time. The datasheet calls them reserved; the setting is from
+        // Changing bits 7:6 from 10 to 01 switches off the adaptive full-scale feature, which freezes the gyroscope's
+        // output for milliseconds at a time. The datasheet calls these bits reserved; the setting comes from
         // ArduPilot's pull request 25332.
         let interface = self.read(INTF_CONFIG1)? & 0x3f | 0x40;
         self.write(INTF_CONFIG1, interface)?;
@@ -252,7 +254,11 @@ impl<SPI: SpiDevice> Registers<'_, SPI> {
 
     fn check(&mut self, register: Register, value: u8) -> Result<(), SetupError<SPI::Error>> {
         let Register { bank, address } = register;
-        if self.read(register)? == value { Ok(()) } else { Err(SetupError::NotKept { bank, address }) }
+        if self.read(register)? == value {
+            Ok(())
+        } else {
+            Err(SetupError::ReadbackMismatch { bank, address })
+        }
     }
 
     fn write(&mut self, register: Register, value: u8) -> Result<(), SPI::Error> {

@@ -1,17 +1,18 @@
 //! The external interrupt controller, RM0090 rev 22 chapter 12, and the port selection of SYSCFG, chapter 9.
 //!
-//! A port announces each change of level on one of its pins as a request line of its own, numbered by the pin. Line
-//! n of the controller listens to pin n of the port that `SYSCFG_EXTICR` selects, and to no other. An edge that
-//! `RTSR` or `FTSR` asks for sets the line's pending bit, whether or not `IMR` lets it through; a written one in
-//! `PR` clears it. Lines 16 and up come from other peripherals: 16 is the supply's voltage detector.
+//! A port reports each change of level at a pin on a request line with the pin's number. Line n of the controller
+//! is connected to pin n of the one port that `SYSCFG_EXTICR` selects. An edge that `RTSR` or `FTSR` enables sets
+//! the line's pending bit, independent of the mask in `IMR`; writing a one to `PR` clears it. Lines from 16 on come
+//! from other peripherals: line 16 is the supply's voltage detector.
 //!
 //! | Lines | Vector |
 //! |---|---|
-//! | 0 to 4 | one each |
-//! | 5 to 9, 10 to 15 | one for all of them |
+//! | 0 to 4 | one for each line |
+//! | 5 to 9 | one for the group |
+//! | 10 to 15 | one for the group |
 //! | 16 | PVD |
 //!
-//! Left out: the event output (`EMR`), which wakes the core from `WFE`; lines 17 to 22, whose sources the board
+//! Not modelled: the event output (`EMR`), which wakes the core from `WFE`; lines 17 to 22, whose sources the board
 //! does not use.
 
 use rigless::device::{Device, DeviceContext, Level, RegisterFile, RequestChange};
@@ -20,13 +21,13 @@ use rigless::soc::stm32f427::generated::{exti, syscfg};
 
 /// The line of the programmable voltage detector.
 pub const PVD_LINE: usize = 16;
-/// Lines that have an edge detector here.
+/// Number of modelled lines.
 const LINES: usize = 17;
 
-/// The request by which SYSCFG tells the controller what it selects: `line << 8 | port` is what it drives.
+/// First of the requests by which SYSCFG passes its port selection to the controller: `SELECTION | line << 8 | port`.
 const SELECTION: usize = 0x1000;
 
-/// Positions in the instance's list of interrupts: 2, 6 to 10, 23, 40 in ST's file, and 1 (PVD) added by the part.
+/// Position of each line's interrupt in [`INTERRUPTS`].
 const VECTORS: [usize; LINES] = {
     let mut vectors = [0; LINES];
     let mut line = 0;
@@ -42,16 +43,16 @@ const VECTORS: [usize; LINES] = {
     vectors
 };
 
-/// Interrupt numbers of the instance, in the order of [`VECTORS`]' positions (RM0090, table 62): TAMP_STAMP, EXTI0
-/// to EXTI4, EXTI9_5, EXTI15_10, PVD.
+/// Interrupt numbers of the instance (RM0090, table 62): TAMP_STAMP, EXTI0 to EXTI4, EXTI9_5 and EXTI15_10 as in ST's
+/// file, and PVD, which is added here.
 pub const INTERRUPTS: [u16; 9] = [2, 6, 7, 8, 9, 10, 23, 40, 1];
 
 /// The controller.
 #[derive(Debug, Default, serde::Serialize, serde::Deserialize)]
 pub struct Exti {
-    /// The port that each of lines 0 to 15 listens to, 0 for port A.
+    /// Selected port of each of lines 0 to 15, 0 for port A.
     ports: [u8; 16],
-    /// Levels of the pins of ports A to I, a bit a pin.
+    /// Levels of the pins of ports A to I, one bit for each pin.
     pins: [u16; 9],
     /// Levels of the lines.
     lines: u32,
@@ -81,7 +82,7 @@ impl Exti {
         }
     }
 
-    /// The level of a line that is no pin: the voltage detector's.
+    /// Sets the level of a line that is not a pin: the voltage detector's.
     pub fn drive_internal(
         &mut self,
         line: usize,
@@ -113,7 +114,7 @@ impl Device for Exti {
         context: &mut DeviceContext<'_>,
     ) {
         match register {
-            // The file's rule has cleared what was written as one.
+            // The register file's rule has already cleared the bits that were written as one.
             exti::Register::Swier => {
                 // 12.3.5: a bit that goes from 0 to 1 while its line is unmasked sets the pending bit.
                 let pending = registers.get(exti::Register::Pr) | value & registers.get(exti::Register::Imr);
@@ -138,7 +139,7 @@ impl Device for Exti {
             let (line, port) = ((change.request - SELECTION) >> 8, change.request & 0xff);
             self.ports[line] = port as u8;
             let high = self.pins.get(port).is_some_and(|pins| pins & 1 << line != 0);
-            // A line that is turned to another pin takes that pin's level without an edge.
+            // A line that is switched to another pin takes that pin's level without an edge.
             self.lines = self.lines & !(1 << line) | u32::from(high) << line;
             return;
         }
@@ -155,7 +156,7 @@ impl Device for Exti {
     }
 
     fn reset(&mut self) {
-        // The pins are where they are; what listens to them starts anew.
+        // The pins keep their levels; the controller is reset.
         let pins = self.pins;
         *self = Self { pins, ..Self::default() };
         for line in 0..16 {
@@ -164,13 +165,13 @@ impl Device for Exti {
     }
 }
 
-/// The number of a port, 0 for `GPIOA`.
+/// Returns the number of a port, 0 for `GPIOA`.
 fn port_of(instance: &str) -> Option<usize> {
     let letter = instance.strip_prefix("GPIO")?.bytes().next()?;
     Some(usize::from(letter.checked_sub(b'A')?)).filter(|&port| port < 9)
 }
 
-/// The system configuration controller, as far as it selects ports for the [`Exti`].
+/// The system configuration controller. Only the port selection for [`Exti`] is modelled.
 #[derive(Debug, Default, serde::Serialize, serde::Deserialize)]
 pub struct Syscfg;
 

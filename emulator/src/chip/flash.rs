@@ -1,15 +1,15 @@
-//! The flash array behind the interface's registers, RM0090 rev 22 chapter 3.
+//! The flash array and its interface, RM0090 rev 22 chapter 3.
 //!
-//! The registers, keys, protection, errors of the interface and the times of an erase are `rigless`'s; what is
-//! added here is that an erase and a store change what is in the array.
+//! The interface's registers, keys, protection and errors and the duration of an erase are from `rigless`. This module adds
+//! the effect of an erase and of a store on the content of the array.
 //!
-//! - **Program** (3.6.3): a store of the width that `PSIZE` names, while `PG` is set, clears bits. It takes 16 µs
-//!   (DS8626 rev 9, table 41, typical), for which `BSY` is set. A store without `PG`, or while locked, sets
-//!   `PGSERR`; one of another width `PGPERR`; nothing is changed then.
-//! - **Erase** (3.6.3): when the operation that was started ends, the sector reads as ones.
+//! - **Program** (3.6.3): while `PG` is set, a store of the width in `PSIZE` clears bits. It takes 16 µs (DS8626 rev 9,
+//!   table 41, typical), during which `BSY` is set. A store without `PG`, or while locked, sets `PGSERR`; a store of
+//!   another width sets `PGPERR`. In both cases the array is unchanged.
+//! - **Erase** (3.6.3): at the end of the operation the sector reads as ones.
 //!
-//! Left out: that the core stands still while the array is busy and it fetches from it. The emulated core goes on.
-//! A power cut in the middle of an operation leaves the array as it was.
+//! Not modelled: a real core stalls when it fetches from the array while it is busy; the emulated core continues. A
+//! power cut during an operation leaves the array unchanged.
 
 use rigless::device::{Device, DeviceContext, RegisterFile};
 use rigless::soc::Width;
@@ -20,10 +20,10 @@ use rigless::time::{EventId, VirtualNanos};
 /// First address of the array.
 pub const BASE: u64 = 0x0800_0000;
 
-/// Time that a store takes, ns.
+/// Duration of a store, ns.
 const PROGRAM_NS: u64 = 16_000;
 
-/// Size of sector `n` of the STM32F405RG, bytes (RM0090, table 5); `None` beyond the last.
+/// Returns the size of sector `n` of the STM32F405RG, bytes (RM0090, table 5); `None` after the last sector.
 pub const fn sector_bytes(n: u64) -> Option<u64> {
     match n {
         0..=3 => Some(16 << 10),
@@ -37,19 +37,19 @@ fn sector_start(n: u64) -> Option<u64> {
     (0..n).try_fold(BASE, |address, before| Some(address + sector_bytes(before)?))
 }
 
-/// The interface and its array.
+/// The flash interface and its array.
 #[derive(Debug, serde::Serialize, serde::Deserialize)]
 pub struct FlashArray {
     /// The registers.
     pub interface: Flash,
     erasing: Option<u64>,
-    /// The store that waits for what is in the array: address, width in bytes, value.
+    /// The store that waits for the old content of the array: address, width in bytes, value.
     storing: Option<(u64, u32, u64)>,
     stored: Option<EventId>,
 }
 
 impl FlashArray {
-    /// The interface fresh out of reset.
+    /// Returns the interface after a reset.
     pub fn new(interface: Flash) -> Self {
         Self { interface, erasing: None, storing: None, stored: None }
     }
@@ -62,7 +62,7 @@ impl FlashArray {
     }
 }
 
-/// Token of the read that goes before a store.
+/// Token of the read before a store.
 const BEFORE_STORE: u64 = 1;
 
 fn width_of(bytes: u32) -> Width {
@@ -144,7 +144,7 @@ impl Device for FlashArray {
         if token == BEFORE_STORE
             && let Some((address, bytes, wanted)) = self.storing.take()
         {
-            // Programming clears bits and sets none.
+            // Programming can only clear bits.
             context.program(address, width_of(bytes), value & wanted, 0);
         }
     }

@@ -1,4 +1,4 @@
-//! An I2C interface whose data line a foreign body may hold low.
+//! An I2C interface whose data line can be held low from outside.
 
 use rigless::device::{Device, DeviceContext, RegisterFile};
 use rigless::soc::stm32f427::generated::i2c3::Register;
@@ -8,9 +8,9 @@ use rigless::time::EventId;
 /// The interface.
 #[derive(Debug)]
 pub struct I2c {
-    /// The model of a free bus.
+    /// Model of the interface on a free bus.
     pub interface: Interface,
-    /// The data line is held low: no start condition can be made, so nothing that is written has an effect.
+    /// Whether the data line is held low. The interface can then make no start condition, so writes have no effect.
     pub held_low: bool,
 }
 

@@ -1,8 +1,8 @@
-//! The microcontroller: which instances it has, where, behind which clock, and who hears whose requests.
+//! The microcontroller: its peripheral instances with their addresses, clocks and requests.
 //!
-//! The instances' addresses, register layouts and clock outputs are those of the STM32F427, from which the ones that
-//! the F405 lacks are left out; memory, DMA requests of the timers, external interrupts and the flash array are its
-//! own. All of it is RM0090 rev 22, which covers both.
+//! The instances' addresses, register layouts and clock outputs are those of the STM32F427, without the instances that the
+//! F405 lacks. The memory map, the DMA requests of the timers, the external interrupts and the flash array are described
+//! here for the F405. The source is RM0090 rev 22, which covers both parts.
 //!
 //! | Region | Address | Size | |
 //! |---|---|---|---|
@@ -12,7 +12,7 @@
 //! | SRAM | 0x2000_0000 | 112 + 16 KiB | |
 //! | backup SRAM | 0x4002_4000 | 4 KiB | |
 //!
-//! An access to anything else is a bus fault.
+//! An access to another address is a bus fault.
 
 use std::num::{NonZeroU32, NonZeroU64};
 use std::ops::Range;
@@ -73,7 +73,7 @@ static MEMORY: [Region; 5] = [
     Region::ram("backup_sram", 0x4002_4000, 4 << 10),
 ];
 
-/// What the STM32F427 has and the F405 lacks (RM0090, table 1).
+/// Instances of the STM32F427 that the F405 lacks (RM0090, table 1).
 const ABSENT: [&str; 12] =
     ["UART7", "UART8", "SPI4", "SPI5", "SPI6", "SAI1", "GPIOJ", "GPIOK", "DMA2D", "CRYP", "HASH", "FMC"];
 
@@ -82,7 +82,7 @@ pub const PORTS: [&str; 9] =
     ["GPIOA", "GPIOB", "GPIOC", "GPIOD", "GPIOE", "GPIOF", "GPIOG", "GPIOH", "GPIOI"];
 const SERIAL_INTERFACES: [&str; 3] = ["SPI1", "SPI2", "SPI3"];
 
-/// Clock enable registers, each with its reset register (RM0090, 7.3.5 to 7.3.14).
+/// Clock enable registers and their reset registers (RM0090, 7.3.5 to 7.3.14).
 const ENABLES: [(&str, &str); 5] = [
     ("AHB1ENR", "AHB1RSTR"),
     ("AHB2ENR", "AHB2RSTR"),
@@ -91,7 +91,7 @@ const ENABLES: [(&str, &str); 5] = [
     ("APB2ENR", "APB2RSTR"),
 ];
 
-/// Update requests of the timers (RM0090, tables 42 and 43): instance, channel, streams; of DMA1 and of DMA2.
+/// DMA update requests of the timers, first of DMA1, then of DMA2: instance, channel, streams (RM0090, tables 42 and 43).
 const TIMER_UPDATES: [&[(&str, usize, &[usize])]; 2] = [
     &[("TIM2", 3, &[1, 7]), ("TIM3", 5, &[2]), ("TIM4", 2, &[6]), ("TIM5", 6, &[0, 6])],
     &[("TIM1", 6, &[5]), ("TIM8", 7, &[1])],
@@ -109,10 +109,10 @@ static DMA_WIRING: LazyLock<[Vec<Wire>; 2]> = LazyLock::new(|| {
     })
 });
 
-/// The internal oscillator, on which everything runs at first.
+/// Clock after a reset, Hz: the internal oscillator.
 const RESET_HZ: u64 = rcc::HSI_HZ;
 
-/// Which model answers for a slot.
+/// The model of a slot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Field {
     None,
@@ -136,7 +136,7 @@ enum Field {
     Syscfg,
 }
 
-/// The field that answers for an instance.
+/// Returns the model of an instance.
 fn field_of(instance: &str) -> Field {
     let nth = |list: &[&str]| list.iter().position(|&name| name == instance);
     let timer = |list: &[parts::Timer]| list.iter().position(|timer| timer.instance == instance);
@@ -165,24 +165,24 @@ fn field_of(instance: &str) -> Field {
         .unwrap_or(Field::None)
 }
 
-/// A timer by its place among its kind.
+/// A timer, by its index among the timers of its family.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum TimerPlace {
+pub enum TimerIndex {
     /// TIM2 to TIM5.
     General(usize),
     /// TIM1 and TIM8.
     Advanced(usize),
 }
 
-impl TimerPlace {
-    /// A timer by its name in RM0090.
+impl TimerIndex {
+    /// Returns the timer with this name in RM0090.
     pub fn of(name: &str) -> Option<Self> {
         let place = |list: &[parts::Timer]| list.iter().position(|timer| timer.instance == name);
         place(&TIMERS).map(Self::General).or_else(|| place(&ADVANCED_TIMERS).map(Self::Advanced))
     }
 }
 
-/// The whole microcontroller. A board puts its chips on the fields.
+/// The microcontroller. A board attaches its chips to the fields.
 #[derive(Debug)]
 pub struct Stm32f405 {
     /// Clocks and resets.
@@ -220,7 +220,7 @@ pub struct Stm32f405 {
     slots: Slots,
 }
 
-/// Slots of the instances that are driven from outside, or keep something through a reset.
+/// Slots of the instances that are driven from outside, or that keep state through a reset.
 #[derive(Clone, Copy, Debug)]
 struct Slots {
     rcc: usize,
@@ -253,7 +253,7 @@ fn assemble() -> Result<Bus, Error> {
         .reset("DBG", "DBGMCU_IDCODE", 0x1001_6413)
         .aborts_in("nothing", 0, 0xe000_0000);
 
-    // Where ST's machine-readable description differs from its manual.
+    // Corrections: ST's machine-readable description differs from its manual.
     for &name in &names {
         let gate = |registers: fn((&'static str, &'static str)) -> &'static str, field: &str| {
             ENABLES.into_iter().map(registers).find_map(|register| {
@@ -264,7 +264,7 @@ fn assemble() -> Result<Bus, Error> {
         let (enable, reset) = match name {
             ADC_COMMON => ("ADC1EN".into(), "ADCRST".into()),
             "ADC1" | "ADC2" | "ADC3" => (format!("{name}EN"), "ADCRST".into()),
-            // The description says UART2RST and UART3RST.
+            // The description has UART2RST and UART3RST.
             "USART2" | "USART3" => (format!("{name}EN"), format!("{}RST", &name[1..])),
             _ => (format!("{name}EN"), format!("{name}RST")),
         };
@@ -308,9 +308,9 @@ fn assemble() -> Result<Bus, Error> {
                     .reset(name, "OSPEEDR", speed)
                     .reset(name, "PUPDR", pull);
             }
-            // 12.3.6: a written one clears.
+            // 12.3.6: writing a one clears a bit.
             Field::Exti => builder = builder.write_modify(name, "PR", WriteModify::OneToClear),
-            // 3.9.5, 3.9.7, 3.9.9. The model is that of the F427, with its four bits of latency and RDERR.
+            // 3.9.5, 3.9.7, 3.9.9. The model is that of the F427, with four bits of latency and RDERR.
             Field::Flash => {
                 builder = builder
                     .field(name, "ACR", "LATENCY", flash::LATENCY)
@@ -324,10 +324,10 @@ fn assemble() -> Result<Bus, Error> {
             _ => {}
         }
     }
-    // 5.4.1: the backup domain is protected against stray writes until DBP is set.
+    // 5.4.1: the backup domain is write-protected until DBP is set.
     builder = builder.gate_writes("RCC", &["BDCR"], Gate::by("PWR", "CR", "DBP"));
     builder = builder.gate_writes("RTC", &[], Gate::by("PWR", "CR", "DBP"));
-    // Who hears requests: see each model.
+    // Instances that receive requests: see each model.
     let sinks = ["RTC", "RCC", ADC_COMMON, CONVERTERS[0], "EXTI"]
         .into_iter()
         .chain(SERIAL_INTERFACES)
@@ -337,10 +337,10 @@ fn assemble() -> Result<Bus, Error> {
 }
 
 impl Stm32f405 {
-    /// A part fresh out of reset, with nothing on its pins.
+    /// Returns a part after a reset, with nothing connected to its pins.
     ///
     /// # Errors
-    /// The description does not hold together.
+    /// The description is inconsistent.
     pub fn new() -> Result<Self, Error> {
         let bus = assemble()?;
         let wiring = bus.slots().iter().map(|slot| field_of(slot.peripheral().name)).collect();
@@ -363,7 +363,7 @@ impl Stm32f405 {
             slots.spi[n] = slot(interface)?;
         }
         for (n, port) in SERIAL_PORTS.iter().enumerate() {
-            // The F405 has neither UART7 nor UART8: nothing is attached to them.
+            // The F405 has neither UART7 nor UART8, so they have no slot.
             slots.usart[n] = bus.slot_of(port.instance).unwrap_or(usize::MAX);
         }
         for (n, port) in PORTS.into_iter().enumerate() {
@@ -415,7 +415,7 @@ impl Stm32f405 {
         Ok(part)
     }
 
-    /// The board's supply, mV.
+    /// Sets the supply of the part, mV.
     pub fn set_supply(&mut self, millivolts: u32) {
         let registers = self.bus.slot_mut(self.slots.pwr).registers_mut();
         self.pwr.set_supply(millivolts, registers);
@@ -424,7 +424,7 @@ impl Stm32f405 {
         }
     }
 
-    /// Whether the voltage detector says that the supply is low.
+    /// Returns whether the voltage detector reports a low supply.
     pub fn supply_is_low(&self) -> bool {
         let csr = self.bus.slots()[self.slots.pwr].registers().get(pwr::Register::Csr);
         pwr::csr::PVDO.is_set(csr)
@@ -441,13 +441,13 @@ impl Stm32f405 {
         input(&mut self.gpio[n], registers, &mut context)
     }
 
-    /// Drives a line of the external interrupts that is no pin.
+    /// Drives a line of the external interrupts that is not a pin.
     pub fn drive_exti(&mut self, at: VirtualNanos, line: usize, high: bool) {
         let (registers, mut context) = self.bus.drive(at, self.slots.exti);
         self.exti.drive_internal(line, high, registers, &mut context);
     }
 
-    /// Cuts the part's supply, or gives it back.
+    /// Switches the part's supply on or off.
     pub fn power(&mut self, at: VirtualNanos, on: bool) {
         let (_, mut context) = self.bus.drive(at, self.slots.pwr);
         context.request_power(on);
@@ -459,13 +459,13 @@ impl Stm32f405 {
         self.rcc.fail_hse(registers, &mut context);
     }
 
-    /// Port `n` and its registers.
+    /// Returns port `n` and its registers.
     pub fn port(&self, n: usize) -> (&Gpio, &RegisterFile) {
         (&self.gpio[n], self.bus.slots()[self.slots.gpio[n]].registers())
     }
 
-    /// Tells the chips at the serial interfaces that the part has restarted: what they had scheduled went with the reset.
-    pub fn tell_chips(&mut self, at: VirtualNanos) {
+    /// Notifies the chips at the SPI interfaces of a reset of the part, which cancelled their scheduled events.
+    pub fn notify_chips_of_reset(&mut self, at: VirtualNanos) {
         for (n, spi) in self.spi.iter_mut().enumerate() {
             let (_, mut context) = self.bus.drive(at, self.slots.spi[n]);
             for chip in 0.. {
@@ -475,43 +475,43 @@ impl Stm32f405 {
         }
     }
 
-    /// Where an instance's registers are; nowhere, if there is no such instance.
+    /// Returns the addresses of an instance's registers; the range is empty if the instance does not exist.
     pub fn addresses(&self, instance: &str) -> Range<u64> {
         let slot = self.bus.slot_of(instance).map(|slot| self.bus.slots()[slot].peripheral());
         slot.map_or(0..0, |peripheral| peripheral.base..peripheral.base + peripheral.size)
     }
 
-    /// The bus's slot of port `n`.
+    /// Returns the bus slot of port `n`.
     pub fn port_slot(&self, n: usize) -> usize {
         self.slots.gpio[n]
     }
 
-    /// The level that a timer puts on a pin of its channel (1 to 4), if it drives it.
-    pub fn timer_output(&self, timer: TimerPlace, channel: u8, complementary: bool) -> Option<Level> {
+    /// Returns the level that a timer drives on a pin of its channel (1 to 4), if it drives it.
+    pub fn timer_output(&self, timer: TimerIndex, channel: u8, complementary: bool) -> Option<Level> {
         match timer {
-            TimerPlace::General(n) => {
+            TimerIndex::General(n) => {
                 let registers = self.bus.slots()[self.slots.tim[n]].registers();
                 self.tim[n].output(channel, complementary, registers)
             }
-            TimerPlace::Advanced(n) => {
+            TimerIndex::Advanced(n) => {
                 let registers = self.bus.slots()[self.slots.advanced[n]].registers();
                 self.advanced[n].output(channel, complementary, registers)
             }
         }
     }
 
-    /// Whether a timer's outputs may have changed since this was last asked.
-    pub fn take_touched(&mut self, timer: TimerPlace) -> bool {
+    /// Returns whether a timer's outputs can have changed since the last call.
+    pub fn take_touched(&mut self, timer: TimerIndex) -> bool {
         match timer {
-            TimerPlace::General(n) => self.tim[n].take_touched(),
-            TimerPlace::Advanced(n) => self.advanced[n].take_touched(),
+            TimerIndex::General(n) => self.tim[n].take_touched(),
+            TimerIndex::Advanced(n) => self.advanced[n].take_touched(),
         }
     }
 
-    /// Puts an address where nothing is into the memory address of a stream of DMA2, or takes it out.
-    pub fn lead_stream_astray(&mut self, stream: usize, astray: bool) {
+    /// Makes the memory address of a stream of DMA2 an unmapped one, or restores it.
+    pub fn set_stream_address_unmapped(&mut self, stream: usize, unmapped: bool) {
         use generated::dma2::Register;
-        const ASTRAY: u64 = 0x4000_0000;
+        const UNMAPPED: u64 = 0x4000_0000;
         let register = match stream {
             0 => Register::S0m0ar,
             3 => Register::S3m0ar,
@@ -519,10 +519,10 @@ impl Stm32f405 {
         };
         let registers = self.bus.slot_mut(self.slots.dma[1]).registers_mut();
         let address = registers.get(register);
-        registers.set(register, if astray { address | ASTRAY } else { address & !ASTRAY });
+        registers.set(register, if unmapped { address | UNMAPPED } else { address & !UNMAPPED });
     }
 
-    /// Streams that run with a memory address which DMA can't reach: controller (1 or 2) and stream.
+    /// Returns the enabled streams whose memory address is in the CCM, which DMA can't reach: controller (1 or 2) and stream.
     pub fn unreachable_by_dma(&self) -> Vec<(usize, usize)> {
         use generated::dma2::{Register, s0cr};
         type Stream = (Register, Register);
@@ -551,7 +551,7 @@ impl Stm32f405 {
     }
 }
 
-/// The emulator takes no snapshots: nothing of a part is stored.
+/// The emulator uses no snapshots, so storing and loading always fail.
 impl Store for Stm32f405 {
     fn store(&self, _: &mut snapshot::Writer) -> Result<(), snapshot::Error> {
         Err(snapshot::Error::Failed)
@@ -571,8 +571,8 @@ impl Mcu for Stm32f405 {
         &mut self.bus
     }
 
-    /// A system reset (RM0090, 6.1.1) leaves the backup domain, the debug settings, the option bytes and the reset
-    /// flags; a power-on reset leaves the backup domain (the cell feeds it) and the option bytes.
+    /// A system reset (RM0090, 6.1.1) keeps the backup domain, the debug settings, the option bytes and the reset flags. A
+    /// power-on reset keeps the backup domain (a backup battery supplies it) and the option bytes.
     fn reset(&mut self, _: VirtualNanos, cause: ResetCause) {
         let get = |slot: usize| self.bus.slots()[slot].registers();
         let flags = get(self.slots.rcc).get(rcc_registers::Register::Csr);
@@ -587,7 +587,7 @@ impl Mcu for Stm32f405 {
 
         self.reset_every_model();
 
-        // These models keep nothing of what the board set.
+        // A new model does not have the board's settings: set them again.
         self.rcc = Rcc::new();
         self.rcc.attach_crystals(crystals.0, crystals.1);
         self.rcc.calibrate_lsi(lsi_hz);
@@ -596,7 +596,7 @@ impl Mcu for Stm32f405 {
         let registers = self.bus.slot_mut(self.slots.rcc).registers_mut();
         registers.set(rcc_registers::Register::Bdcr, backup_clock);
         if cause == ResetCause::PowerOn {
-            // 7.3.21: power-on, brown-out and pin.
+            // 7.3.21: the flags of power-on, brown-out and pin reset.
             registers.set(rcc_registers::Register::Csr, 0x0e00_0000);
         } else {
             self.rcc.restarted(cause, flags, registers);
@@ -611,7 +611,7 @@ impl Mcu for Stm32f405 {
         self.flash.interface.keep_options(options.0, options.1, registers);
     }
 
-    /// Only the serial ports have something outside.
+    /// Polls only the serial ports: no other peripheral has an external source of data.
     fn poll(&mut self, now: VirtualNanos) {
         for n in 0..self.usart.len() {
             if self.usart[n].attached() {

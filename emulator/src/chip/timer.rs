@@ -1,9 +1,9 @@
-//! A timer that sleeps while nothing of it can be seen.
+//! A timer whose model stops while it has no visible effect.
 //!
-//! The model is woken at every overflow and compare match. A DShot timer that is left running with compare values of
-//! zero overflows 300,000 to 600,000 times a second, and nothing comes of it: its outputs stay low, it raises no
-//! interrupt, and its request for DMA stands already. After some such overflows the model's clock is stopped; at the
-//! next access it is started again, with the count that the timer has reached meanwhile.
+//! The model needs an event at each overflow and compare match. A DShot timer that runs with compare values of zero
+//! overflows 300,000 to 600,000 times a second without an effect: its outputs stay low, it raises no interrupt, and its
+//! DMA request is already pending. After a few such overflows this module stops the model's clock. The next access starts
+//! the clock again, with the count that the timer has reached by then.
 
 use rigless::device::{Device, DeviceContext, Level, RegisterFile, RequestChange};
 use rigless::soc::RegisterSpec;
@@ -12,11 +12,11 @@ use rigless::soc::stm32f427::generated::{tim1, tim2};
 use rigless::soc::stm32f427::peripherals::tim::{Advanced, Channel, Family, General, Tim};
 use rigless::time::{EventId, VirtualNanos};
 
-/// Wake-ups in a row at which nothing was to be seen, after which nothing will be: preloaded values have been taken.
+/// Number of consecutive events without an effect after which the model stops: by then, preloaded values are active.
 const QUIET_EVENTS: u32 = 8;
 
-/// The registers of a family that are looked at. Their fields are at the same bits in both.
-pub trait Named: Family {
+/// The registers of a timer family that this module uses. Their fields are at the same bits in both families.
+pub trait TimerRegisters: Family {
     /// CR1.
     const CONTROL: Self::Register;
     /// DIER.
@@ -33,9 +33,9 @@ pub trait Named: Family {
     const COMPARES: [Self::Register; 4];
 }
 
-macro_rules! named {
+macro_rules! timer_registers {
     ($family:ident, $layout:ident) => {
-        impl Named for $family {
+        impl TimerRegisters for $family {
             const CONTROL: Self::Register = $layout::Register::Cr1;
             const ENABLES: Self::Register = $layout::Register::Dier;
             const MODES: [Self::Register; 2] =
@@ -52,28 +52,28 @@ macro_rules! named {
         }
     };
 }
-named!(General, tim2);
-named!(Advanced, tim1);
+timer_registers!(General, tim2);
+timer_registers!(Advanced, tim1);
 
-/// The timer.
+/// A timer that stops while it has no visible effect.
 #[derive(Debug)]
 pub struct Timer<F: Family> {
     inner: Tim<F>,
     clock_hz: u64,
     quiet_events: u32,
-    /// Since when it sleeps, and at which count.
+    /// Time and count at which the model was stopped, while it is stopped.
     asleep: Option<(VirtualNanos, u64)>,
-    /// It was called since this was last asked: its outputs may have changed.
+    /// Whether the model ran since the last [`Self::take_touched`]: its outputs may have changed.
     touched: bool,
 }
 
-impl<F: Named> Timer<F> {
-    /// A timer that is looked at through `inner`, whose clock is at `clock_hz`.
+impl<F: TimerRegisters> Timer<F> {
+    /// Returns a timer with the model `inner` and this clock, Hz.
     pub fn new(inner: Tim<F>, clock_hz: u64) -> Self {
         Self { inner, clock_hz, quiet_events: 0, asleep: None, touched: true }
     }
 
-    /// The level that the timer puts on a pin of its channel `n` (1 to 4), if it drives it.
+    /// Returns the level that the timer drives on a pin of its channel `n` (1 to 4), if it drives it.
     pub fn output(&self, n: u8, complementary: bool, registers: &RegisterFile) -> Option<Level> {
         let channel = Channel::new(n)?;
         if complementary {
@@ -83,11 +83,12 @@ impl<F: Named> Timer<F> {
         }
     }
 
-    /// Whether the outputs may have changed since this was last asked.
+    /// Returns whether the outputs can have changed since the last call.
     pub fn take_touched(&mut self) -> bool {
         std::mem::take(&mut self.touched)
     }
 
+    /// Returns whether the timer has no visible effect with its present settings.
     fn is_quiet(&self, registers: &RegisterFile) -> bool {
         let interrupts = dier::UIE.mask()
             | dier::CC1IE.mask()
@@ -96,7 +97,7 @@ impl<F: Named> Timer<F> {
             | dier::CC4IE.mask()
             | dier::TIE.mask();
         registers.get(F::ENABLES) & interrupts == 0
-            // PWM mode 1 or nothing: with a compare value of zero the output is low all the time.
+            // PWM mode 1 or frozen: with a compare value of zero the output stays low.
             && F::MODES.iter().all(|&register| {
                 let value = registers.get(register);
                 [ccmr1_output::OC1M, ccmr1_output::OC2M].iter().all(|mode| matches!(mode.get(value), 0 | 6))
@@ -108,7 +109,7 @@ impl<F: Named> Timer<F> {
     }
 }
 
-impl<F: Named> Timer<F> {
+impl<F: TimerRegisters> Timer<F> {
     fn sleep(&mut self, registers: &mut RegisterFile, context: &mut DeviceContext<'_>) {
         let count = self.inner.read(F::COUNT, registers, context).unwrap_or(0);
         self.asleep = Some((context.now(), count));
@@ -132,7 +133,7 @@ impl<F: Named> Timer<F> {
     }
 }
 
-impl<F: Named> Device for Timer<F> {
+impl<F: TimerRegisters> Device for Timer<F> {
     type Register = F::Register;
 
     fn layout(&self) -> &'static [RegisterSpec] {
@@ -157,7 +158,7 @@ impl<F: Named> Device for Timer<F> {
         context: &mut DeviceContext<'_>,
     ) {
         if self.asleep.is_some() {
-            // The file holds what was written already; the wake is of what was before.
+            // The register file already holds the written value, but the timer must wake with the state before the write.
             let written = registers.get(register);
             self.wake(registers, context);
             registers.set(register, written);

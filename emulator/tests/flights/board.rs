@@ -1,4 +1,4 @@
-//! What the board does besides flying: rates, counts, led, pads; and what it refuses.
+//! Other functions of the board: rates, timing, priorities, LED and pads; and what it refuses.
 
 use std::path::Path;
 
@@ -10,7 +10,7 @@ use flight_core::ArmState;
 
 use super::{assert_healthy, firmware, fly, hover, scene, settings, story};
 
-/// The figures of the log's health lines, `(name, value)`, one list a line.
+/// Returns the figures of the log's health lines, one list of `(name, value)` for each line.
 fn health(log: &[String]) -> Vec<Vec<(String, i64)>> {
     let lines = log.iter().filter(|line| line.contains("imu lost"));
     lines
@@ -27,7 +27,7 @@ fn value(line: &[(String, i64)], name: &str) -> i64 {
 }
 
 #[test]
-fn every_sensor_comes_at_its_rate() {
+fn sensors_and_tasks_run_at_their_rates() {
     let flown = fly(&hover(""), &[]);
     assert_healthy(&flown);
     let lines = health(&flown.log);
@@ -44,38 +44,39 @@ fn every_sensor_comes_at_its_rate() {
         assert!((11_080..=11_120).contains(&value(line, "battery")), "{line:?}");
     }
 
-    // The software tasks of a priority share a handler: a task that has moved to another shows in the runs of both.
+    // The software tasks of a priority share a handler, so a task with another priority changes the runs of two handlers.
     let handlers = flown.wiring.handlers.iter().zip(&flown.timing.runs);
     let runs: Vec<(&str, f64)> =
         handlers.map(|(handler, runs)| (handler.task, runs.count() as f64)).collect();
     let of = |task: &str| runs.iter().find(|(name, _)| *name == task).unwrap().1;
     let seconds = flown.outcome.flown_s();
-    for (task, rate_hz) in [("supply", 50.0), ("magnetometer", 200.0)] {
+    for (task, rate_hz) in [("battery", 50.0), ("magnetometer", 200.0)] {
         assert!((of(task) - rate_hz * seconds).abs() <= 3.0, "{runs:?}");
     }
-    // `health` once a second, and 61 runs more: the sensor's set-up, a millisecond each, and the changes of state.
-    assert!((of("imu, health, announce") - seconds - 61.0).abs() <= 8.0, "{runs:?}");
+    // `health` runs once a second. The other 61 runs are the steps of the sensor's set-up, one each millisecond, and the
+    // changes of state.
+    assert!((of("imu_setup, health, log_event") - seconds - 61.0).abs() <= 8.0, "{runs:?}");
 }
 
 #[test]
-fn samples_are_stamped_and_answered_in_time() {
+fn samples_are_stamped_and_processed_in_time() {
     let flown = fly(&hover(""), &[]);
     assert_healthy(&flown);
     let timing = &flown.timing;
     assert!(timing.latency_ns.count() > 19_000);
-    // The receiver's handler has the same priority, and takes some thirty instructions.
-    assert!(timing.entry_ns.most <= 2_000, "{:?}", timing.entry_ns);
-    assert!(timing.latency_instructions.most <= 3_400, "{:?}", timing.latency_instructions);
-    // Between two time stamps lies a millisecond, give or take that.
+    // The receiver's handler has the same priority and can delay the entry by its thirty or so instructions.
+    assert!(timing.entry_ns.max <= 2_000, "{:?}", timing.entry_ns);
+    assert!(timing.latency_instructions.max <= 3_400, "{:?}", timing.latency_instructions);
+    // Time stamps are a millisecond apart, with a tolerance for that delay.
     let armed: Vec<u64> = flown.records.iter().skip(1_000).map(|record| record.time_us).collect();
     for pair in armed.windows(2) {
         assert!((997..=1_003).contains(&(pair[1] - pair[0])), "{pair:?}");
     }
 }
 
-/// The tables of docs/timing.md, of the flash image: means within 3 %, the most within 10 %.
+/// Compares the tables of docs/timing.md with measurements of the flash image: means within 3 %, maxima within 10 %.
 #[test]
-fn the_page_on_timing_has_this_images_figures() {
+fn timing_page_matches_measured_figures() {
     let page = include_str!("../../../docs/timing.md");
     let row = |first: &str| -> Vec<&str> {
         let row = page
@@ -97,33 +98,33 @@ fn the_page_on_timing_has_this_images_figures() {
         let row = row(&format!("{} | {} | {} |", handler.vector, handler.task, handler.priority));
         near(handler.vector, number(row[4]), runs.count() as f64, 0.01, 1.0);
         near(handler.vector, number(row[5]), runs.mean(), 0.03, 0.5);
-        near(handler.vector, number(row[6]), runs.most as f64, 0.1, 0.0);
+        near(handler.vector, number(row[6]), runs.max as f64, 0.1, 0.0);
         let share = runs.share_of_time(flown.outcome.flown_s());
         near(handler.vector, number(row[7]), 100.0 * share, 0.05, 0.005);
     }
     let entry = row("to the handler's first instruction");
-    near("entry", number(entry[2]), timing.entry_ns.least as f64 * 1e-3, 0.0, 0.01);
-    near("entry", number(entry[4]), timing.entry_ns.most as f64 * 1e-3, 0.1, 0.01);
+    near("entry", number(entry[2]), timing.entry_ns.min as f64 * 1e-3, 0.0, 0.01);
+    near("entry", number(entry[4]), timing.entry_ns.max as f64 * 1e-3, 0.1, 0.01);
     let latency = row("to the last write to a motor's timer");
     near("latency", number(latency[3]), timing.latency_instructions.mean(), 0.03, 0.0);
-    near("latency", number(latency[4]), timing.latency_instructions.most as f64, 0.1, 0.0);
+    near("latency", number(latency[4]), timing.latency_instructions.max as f64, 0.1, 0.0);
     let latency = row("the same, µs");
     near("latency, µs", number(latency[3]), timing.latency_ns.mean() * 1e-3, 0.03, 0.0);
-    near("latency, µs", number(latency[4]), timing.latency_ns.most as f64 * 1e-3, 0.1, 0.0);
-    // Whole microseconds, and what the handler comes late by.
-    let limit_ns = 1_000 + timing.entry_ns.most as i64;
+    near("latency, µs", number(latency[4]), timing.latency_ns.max as f64 * 1e-3, 0.1, 0.0);
+    // The jitter is at most the resolution of 1 µs plus the maximum delay of the handler's entry.
+    let limit_ns = 1_000 + timing.entry_ns.max as i64;
     assert!(timing.stamp_jitter_ns() <= limit_ns, "{} ns", timing.stamp_jitter_ns());
 }
 
 #[test]
-fn the_interrupt_controller_has_the_priorities_of_the_table() {
+fn interrupt_priorities_match_the_task_table() {
     // On the ground, before the pilot arms.
     let flown = fly(&hover(""), &[(2.0, Fault::AllInterrupts)]);
     let handlers = flown.wiring.handlers;
     let pairs = |n: usize| {
         let by =
             flown.timing.interrupted.iter().filter(move |(below, _)| *below == n).map(|(_, on_top)| *on_top);
-        // One that follows itself has ended by a way out that is not watched.
+        // A handler that seems to interrupt itself has ended by a return that is not watched.
         by.filter(|on_top| *on_top != n && handlers[*on_top].exception >= 16).collect::<Vec<_>>()
     };
     for (n, below) in handlers.iter().enumerate() {
@@ -133,9 +134,9 @@ fn the_interrupt_controller_has_the_priorities_of_the_table() {
     }
 }
 
-/// The LED: a flash of 50 ms a second on the ground, lit in flight.
+/// On the ground the LED flashes for 50 ms each second; in flight it is lit.
 #[test]
-fn the_led_shows_what_the_board_does() {
+fn led_flashes_on_ground_and_is_lit_in_flight() {
     let flown = fly(&hover(""), &[]);
     assert_healthy(&flown);
     let state_at = |wanted: ArmState| flown.states.iter().find(|(_, state)| *state == wanted).unwrap().0;
@@ -152,8 +153,9 @@ fn the_led_shows_what_the_board_does() {
 }
 
 #[test]
-fn the_attitude_is_right_the_way_round() {
-    // A wrong sign or a wrong axis of the mounting crashes; a magnetometer turned round shows in the heading.
+fn attitude_has_the_right_signs_and_axes() {
+    // With a wrong sign or axis of the IMU's mounting the vehicle crashes; a wrong mounting of the magnetometer gives a
+    // heading error.
     let flown = fly(&scene("steps", Some(26.0)), &[]);
     assert_healthy(&flown);
     assert!(
@@ -164,16 +166,16 @@ fn the_attitude_is_right_the_way_round() {
 }
 
 #[test]
-fn pads_are_never_left_floating_once_the_firmware_runs() {
+fn motor_pads_do_not_float_after_start() {
     let flown = fly(&hover(""), &[]);
     let floats = flown.pads_floated_until_ns;
-    // Some hundred instructions after reset the pull-downs are on.
+    // The firmware enables the pull-downs a few hundred instructions after the reset.
     assert!(floats < 50_000, "a pad floats until {floats} ns");
     assert!(flown.escs.iter().all(|esc| esc.line() != Line::Floating));
 }
 
 #[test]
-fn an_sbus_receiver_is_found_and_flown_with() {
+fn sbus_receiver_is_found_and_flies() {
     let scene = hover("");
     let settings =
         emulator::flight::Settings { receiver: Protocol::Sbus, ..settings(firmware(), &scene, &[]) };
@@ -182,7 +184,7 @@ fn an_sbus_receiver_is_found_and_flown_with() {
 }
 
 #[test]
-fn a_board_without_a_configuration_refuses_to_arm() {
+fn board_without_configuration_refuses_to_arm() {
     let scene = hover("");
     let settings = emulator::flight::Settings { config: None, ..settings(firmware(), &scene, &[]) };
     let flown = emulator::flight::fly(&scene, scene.seed, settings, None).unwrap().0;
@@ -192,18 +194,18 @@ fn a_board_without_a_configuration_refuses_to_arm() {
 }
 
 #[test]
-fn what_is_no_flight_image_is_refused() {
+fn files_that_are_not_flight_images_are_refused() {
     let elf = firmware().elf();
     let refusal = |elf: Vec<u8>| Firmware::parse(Path::new("x.elf"), elf).unwrap_err().to_string();
     assert!(refusal(b"no ELF".to_vec()).contains("must be an ELF image"));
-    // At 18: the machine.
+    // Byte 18 is the machine of the ELF header.
     let mut other = elf.to_vec();
     other[18] = 62;
     assert!(refusal(other).contains("Arm"));
     for length in [10, 40, 60, 1_000, 40_000] {
         refusal(elf[..length].to_vec());
     }
-    // Its name, as the bench image has it.
+    // The image's name, changed to that of a bench image.
     let name = b"speedybee-f405-v4\0";
     let at = elf.windows(name.len()).position(|window| window == name).unwrap();
     let mut bench = elf.to_vec();

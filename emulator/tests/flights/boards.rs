@@ -1,5 +1,5 @@
-//! The other boards, each from its file: pads on other timers, with complementary outputs and on other ports, other pins of
-//! the sensors, and how all that is built into a vehicle.
+//! The other boards, each from its file: pads on other timers and ports and with complementary outputs, other pins of the
+//! sensors, and other mountings in the vehicle.
 
 use std::sync::Arc;
 
@@ -13,8 +13,8 @@ use sim_host::scene::Scene;
 
 use super::{assert_healthy, hover, settings};
 
-/// Flies the image that is built for a board, with the ESCs driven so.
-fn flies(board: &str, esc: &str, scene: &Scene, faults: &[(f64, Fault)]) -> Flown {
+/// Builds the image for a board and an ESC protocol, and flies a scene with it.
+fn fly_board(board: &str, esc: &str, scene: &Scene, faults: &[(f64, Fault)]) -> Flown {
     let firmware = Firmware::build(&[("KESTREL_BOARD", board), ("KESTREL_ESC", esc)]).unwrap();
     let wiring = Arc::new(Wiring::new(Board::load(board).unwrap(), &scene.design));
     let settings = Settings { wiring, ..settings(&firmware, scene, faults) };
@@ -22,32 +22,33 @@ fn flies(board: &str, esc: &str, scene: &Scene, faults: &[(f64, Fault)]) -> Flow
 }
 
 #[test]
-fn the_mini_flies() {
-    let flown = flies("speedybee-f405-mini", "dshot300", &hover(""), &[]);
+fn speedybee_mini_flies() {
+    let flown = fly_board("speedybee-f405-mini", "dshot300", &hover(""), &[]);
     assert_healthy(&flown);
-    assert!(flown.led.len() > 2, "its LED says something");
+    assert!(flown.led.len() > 2, "the LED must change");
 }
 
-/// TIM8 and TIM1, which have twice the clock and must be let out; one pad is a complementary output.
+/// The Matek's pads use TIM8 and TIM1, which have twice the clock and need their main output enabled; one pad is a complementary
+/// output.
 #[test]
-fn the_matek_flies_with_each_protocol() {
+fn matek_flies_with_each_esc_protocol() {
     for (esc, protocol) in
         [("dshot600", Protocol::DShot600), ("oneshot125", Protocol::OneShot125), ("pwm", Protocol::Pwm)]
     {
-        let flown = flies("matek-f405-te", esc, &hover(""), &[]);
+        let flown = fly_board("matek-f405-te", esc, &hover(""), &[]);
         assert_healthy(&flown);
         assert!(
             flown.escs.iter().all(|esc| esc.last().is_some_and(|last| last.protocol == protocol)),
             "{esc}"
         );
-        super::protocols::every_command_is_one_that_was_given(&flown, protocol);
+        super::protocols::assert_commands_match_records(&flown, protocol);
     }
 }
 
-/// Timers of the motors and streams of the inertial sensor have one controller of DMA there.
+/// On this board the motor timers and the inertial sensor use the same DMA controller.
 #[test]
-fn a_fault_on_the_matek_stops_the_motors() {
-    let flown = flies(
+fn fault_on_matek_stops_the_motors() {
+    let flown = fly_board(
         "matek-f405-te",
         "dshot300",
         &hover(""),
@@ -56,13 +57,13 @@ fn a_fault_on_the_matek_stops_the_motors() {
     super::faults::pads_stop(&flown, 0.002);
 }
 
-/// The same board on its side in another vehicle, and the magnetometer upside down.
+/// The default board is rotated by 90° to the right, and the magnetometer by 90° to the left.
 #[test]
-fn a_board_that_is_mounted_otherwise_flies() {
+fn board_with_another_mounting_flies() {
     let scene = hover(
         "[vehicle.mounting]\nboard = [\"right\", \"backward\", \"down\"]\n\
          magnetometer = [\"left\", \"forward\", \"down\"]\n",
     );
-    let flown = flies(::board::DEFAULT, "dshot300", &scene, &[]);
+    let flown = fly_board(::board::DEFAULT, "dshot300", &scene, &[]);
     assert_healthy(&flown);
 }

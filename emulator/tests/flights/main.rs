@@ -1,7 +1,7 @@
-//! The flash image flies: every scene that flies, every ESC protocol, and what fails in flight.
+//! Flights of the flash image: all scenes with a pilot, all ESC protocols, and faults in flight.
 //!
-//! Every flight is that of `cargo flash-fw`'s image, armed by the pilot, judged on the truth. `KESTREL_IMAGE` names
-//! another image to be tried, as the mutants are (`emulator/mutants`).
+//! The image is that of `cargo flash-fw`; the pilot arms it, and the truth decides the outcome. `KESTREL_IMAGE` names
+//! another image to test: `emulator/mutants` uses it.
 
 mod board;
 mod boards;
@@ -24,7 +24,7 @@ use flight_core::ArmState;
 use flight_core::arming::Cause;
 use sim_host::scene::Scene;
 
-/// The image under test, built once.
+/// Returns the image under test, which is built once.
 fn firmware() -> &'static Firmware {
     static BUILT: OnceLock<Firmware> = OnceLock::new();
     BUILT.get_or_init(|| match std::env::var_os("KESTREL_IMAGE") {
@@ -33,7 +33,7 @@ fn firmware() -> &'static Firmware {
     })
 }
 
-/// A built-in scene, of this length (s).
+/// Returns a built-in scene, with this duration (s) if one is given.
 fn scene(name: &str, duration_s: Option<f64>) -> Scene {
     let mut scene = Scene::load(name).unwrap();
     if let Some(duration_s) = duration_s {
@@ -42,14 +42,14 @@ fn scene(name: &str, duration_s: Option<f64>) -> Scene {
     scene
 }
 
-/// `hover`, short: up at 5 s, down from 12 s, with these tables on top.
+/// Returns a short `hover` scene with additional tables: it takes off at 5 s and descends from 12 s on.
 fn hover(tables: &str) -> Scene {
     let mut scene = Scene::parse("altered", &format!("include = \"hover\"\n{tables}")).unwrap();
     scene.set_duration(20.0).unwrap();
     scene
 }
 
-/// The default board in the scene's vehicle.
+/// Returns the wiring of the default board in the scene's vehicle.
 fn wiring(scene: &Scene) -> Arc<Wiring> {
     Arc::new(Wiring::new(Board::load(::board::DEFAULT).unwrap(), &scene.design))
 }
@@ -63,39 +63,39 @@ fn settings<'a>(firmware: &'a Firmware, scene: &Scene, faults: &[(f64, Fault)]) 
         print_log: false,
         after_crash_s: 3.0,
         faults: faults.to_vec(),
-        // The mutants' flights: what does not arm by itself need not be flown to the end.
+        // For mutants: a flight that can no longer succeed ends early.
         fail_fast: std::env::var_os("KESTREL_ONCE").is_some() && faults.is_empty(),
     }
 }
 
-/// Flies a scene with these faults (at s).
+/// Flies a scene with these faults, each with its time, s.
 fn fly(scene: &Scene, faults: &[(f64, Fault)]) -> Flown {
     flight::fly(scene, scene.seed, settings(firmware(), scene, faults), None).unwrap().0
 }
 
-/// Flies it twice: the same edges at the pads, the same records, the same log. Once with `KESTREL_ONCE`, which the
-/// mutants set.
+/// Flies a scene twice, and checks that edges at the pads, records and log are equal. With `KESTREL_ONCE`, which
+/// `emulator/mutants` sets, it flies only once.
 fn fly_twice(scene: &Scene, faults: &[(f64, Fault)]) -> Flown {
     if std::env::var_os("KESTREL_ONCE").is_some() {
         return fly(scene, faults);
     }
     let (first, second) = (fly(scene, faults), fly(scene, faults));
-    assert_eq!(first.pads_digest, second.pads_digest, "other edges at the pads");
-    assert_eq!(first.outcome.digest, second.outcome.digest, "another flight");
-    assert!(first.records == second.records, "other steps");
-    assert_eq!(first.log, second.log, "another log");
+    assert_eq!(first.pads_digest, second.pads_digest, "the edges at the pads differ");
+    assert_eq!(first.outcome.digest, second.outcome.digest, "the flights differ");
+    assert!(first.records == second.records, "the step records differ");
+    assert_eq!(first.log, second.log, "the logs differ");
     first
 }
 
-/// What must hold in every flight, whatever fails.
+/// Checks what must hold in every flight, also with faults.
 #[track_caller]
 fn assert_sound(flown: &Flown) {
-    assert_eq!(flown.broken_off, None, "{}", story(flown));
+    assert_eq!(flown.aborted, None, "{}", story(flown));
     assert_eq!(flown.gaps, [""; 0], "{}", story(flown));
     assert_eq!(flown.unserved, [""; 0], "{}", story(flown));
 }
 
-/// What must hold in a flight in which nothing fails.
+/// Checks what must hold in a flight without faults.
 #[track_caller]
 fn assert_healthy(flown: &Flown) {
     assert_sound(flown);
@@ -103,10 +103,10 @@ fn assert_healthy(flown: &Flown) {
     assert!(flown.armed && flown.took_off != Some(false), "{story}");
     assert_eq!((flown.resets.len(), flown.missed_deadlines), (0, 0), "{story}");
     assert_eq!((flown.outcome.crash, flown.outcome.final_state), (None, ArmState::Disarmed), "{story}");
-    assert_eq!(flown.escs.iter().map(|esc| esc.garbled).sum::<u64>(), 0, "{story}");
+    assert_eq!(flown.escs.iter().map(|esc| esc.invalid).sum::<u64>(), 0, "{story}");
 }
 
-/// States in turn after `Armed`: when (s of the flight), which, and why.
+/// Returns the arm states after `Armed`, each with its time (s) and its cause.
 fn after_arming(flown: &Flown) -> Vec<(f64, ArmState, Cause)> {
     let events = flown.records.iter().filter_map(|record| {
         Some((record.time_us as f64 * 1e-6, record.outcome.event?)).filter(|(_, event)| !event.is_refusal())
@@ -116,7 +116,7 @@ fn after_arming(flown: &Flown) -> Vec<(f64, ArmState, Cause)> {
     after.map(|(at_s, event)| (at_s, event.to, event.cause)).collect()
 }
 
-/// The flight in words, for the message of an assertion.
+/// Describes a flight, for the message of an assertion.
 fn story(flown: &Flown) -> String {
     let mut story = format!("{:?}\nresets {:?}\n", flown.outcome, flown.resets);
     for line in flown.log.iter().filter(|line| !line.contains("imu lost")) {

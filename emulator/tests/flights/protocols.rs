@@ -1,4 +1,4 @@
-//! Each ESC protocol, by edges at the pads.
+//! The ESC protocols, decoded from the edges at the pads.
 
 use emulator::firmware::Firmware;
 use emulator::flight::Flown;
@@ -6,11 +6,11 @@ use emulator::pads::Protocol;
 
 use super::{assert_healthy, hover, settings};
 
-/// Flies the image that is built with `KESTREL_ESC` set so.
+/// Flies the image for an ESC protocol, and checks protocol, rate and values of the commands.
 #[track_caller]
-fn flies_with(name: &str, protocol: Protocol, rate_hz: f64) {
+fn fly_with_protocol(name: &str, protocol: Protocol, rate_hz: f64) {
     let firmware = match std::env::var_os("KESTREL_IMAGE") {
-        // A mutant's, of this protocol.
+        // The image of a mutant, built for this protocol.
         Some(path) => Firmware::read(std::path::Path::new(&path)).unwrap(),
         None => Firmware::build(&[("KESTREL_ESC", name)]).unwrap(),
     };
@@ -23,23 +23,23 @@ fn flies_with(name: &str, protocol: Protocol, rate_hz: f64) {
         let rate = esc.commands.len() as f64 / seconds;
         assert!((rate / rate_hz - 1.0).abs() < 0.02, "{rate} commands a second");
     }
-    every_command_is_one_that_was_given(&flown, protocol);
+    assert_commands_match_records(&flown, protocol);
 }
 
-/// Whatever arrives at a pad is what the flight controller had given for that rotor shortly before: nothing in between
-/// two commands, and nothing of another rotor.
-pub fn every_command_is_one_that_was_given(flown: &Flown, protocol: Protocol) {
-    // Counts are 1/21 µs for PWM and 8/84 µs for OneShot125, and edges come at whole ns; DShot has steps of 0.5 µs, and the
-    // two scales begin half a step apart.
+/// Checks that each command at a pad equals a recent output of the flight controller for that rotor. Other values, such as a
+/// mix of two outputs or the output for another rotor, are errors.
+pub fn assert_commands_match_records(flown: &Flown, protocol: Protocol) {
+    // A count of the timer is 1/21 µs for PWM and 8/84 µs for OneShot125, and edges are at whole ns. DShot has steps of
+    // 0.5 µs, and the two scales begin half a step apart.
     let tolerance_us = match protocol {
         Protocol::Pwm => 0.05,
         Protocol::OneShot125 => 0.15,
         _ => 0.8,
     };
     for (esc, pad) in flown.escs.iter().zip(&flown.wiring.pads) {
-        let mut strange = 0;
+        let mut unknown = 0;
         for command in &esc.commands {
-            // A pulse of PWM ends up to 5 ms after its command; the firmware's clock starts some ms after the supply.
+            // A pulse of PWM ends up to 5 ms after its command. The firmware's clock starts a few ms after power-on.
             let (from_us, to_us) =
                 ((command.at_ns / 1_000).saturating_sub(12_000), command.at_ns / 1_000 + 1_000);
             let first = flown.records.partition_point(|record| record.time_us < from_us);
@@ -50,29 +50,29 @@ pub fn every_command_is_one_that_was_given(flown: &Flown, protocol: Protocol) {
                 false => 1_000.0,
             });
             if first > 0 && !known.into_iter().any(|known_us| (known_us - us).abs() <= tolerance_us) {
-                strange += 1;
+                unknown += 1;
             }
         }
-        assert_eq!(strange, 0, "{}: of {} commands", pad.name, esc.commands.len());
+        assert_eq!(unknown, 0, "{}: of {} commands", pad.name, esc.commands.len());
     }
 }
 
 #[test]
 fn pwm_flies() {
-    flies_with("pwm", Protocol::Pwm, 400.0);
+    fly_with_protocol("pwm", Protocol::Pwm, 400.0);
 }
 
 #[test]
 fn oneshot125_flies() {
-    flies_with("oneshot125", Protocol::OneShot125, 1_000.0);
+    fly_with_protocol("oneshot125", Protocol::OneShot125, 1_000.0);
 }
 
 #[test]
 fn dshot300_flies() {
-    flies_with("dshot300", Protocol::DShot300, 1_000.0);
+    fly_with_protocol("dshot300", Protocol::DShot300, 1_000.0);
 }
 
 #[test]
 fn dshot600_flies() {
-    flies_with("dshot600", Protocol::DShot600, 1_000.0);
+    fly_with_protocol("dshot600", Protocol::DShot600, 1_000.0);
 }

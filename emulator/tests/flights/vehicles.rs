@@ -1,4 +1,4 @@
-//! The image that is built for a vehicle, flown by that vehicle.
+//! An image that is built for another vehicle flies that vehicle.
 
 use emulator::firmware::Firmware;
 use flight_core::Params;
@@ -7,19 +7,19 @@ use vehicle::Vehicle;
 
 use super::{assert_healthy, settings};
 
-/// One file: the image holds what the flight controller needs of it, and the simulator flies it.
+/// The vehicle's file gives both the configuration in the image and the simulated vehicle.
 #[test]
-fn an_image_for_five_inches_flies_them() {
+fn image_for_five_inch_vehicle_flies_it() {
     let firmware = Firmware::build(&[("KESTREL_VEHICLE", "vehicles/five-inch.toml")]).unwrap();
-    let told = firmware.vehicle().unwrap();
+    let config = firmware.vehicle().unwrap();
     let vehicle = Vehicle::load("five-inch").unwrap();
-    assert_eq!(told.params, vehicle.mounted(vehicle.flight_params(&Params::default())));
-    assert_eq!(told.calibration, None);
+    assert_eq!(config.params, vehicle.with_mounting(vehicle.flight_params(&Params::default())));
+    assert_eq!(config.calibration, None);
 
     let mut scene = Scene::load_with_vehicle("hover", Some("five-inch")).unwrap();
     scene.set_duration(20.0).unwrap();
     let flown = emulator::flight::fly(&scene, scene.seed, settings(&firmware, &scene, &[]), None).unwrap().0;
     assert_healthy(&flown);
-    // Its file says DShot600.
+    // The protocol in the vehicle's file is DShot600.
     assert!(flown.escs.iter().all(|esc| esc.last().is_some_and(|last| last.protocol.name() == "DShot600")));
 }

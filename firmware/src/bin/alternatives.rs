@@ -1,12 +1,12 @@
-//! Counts what the flight code's alternatives take on QEMU's Cortex-M4F, beside the flight code itself: see the
-//! module `counter`, and the figures in `studies/src/cost/m4.toml`.
+//! Counts the instructions of the flight code's alternatives on QEMU's Cortex-M4F, beside those of the flight code
+//! itself: see the module `instruction_counter`, and the figures in `studies/src/cost/m4.toml`.
 //!
-//! Everything here is called out of line, and a count has the call in it: "call alone" is a function that returns
-//! its argument. Where a caller would inline a function and share its constants, it takes less: `sin_cos` 35
-//! instructions in a loop (`icount`), and 56 here.
+//! Every function is called out of line, and its count includes the call: "call alone" is a function that returns its
+//! argument. Inlined into a caller that shares its constants, a function takes less: `sin_cos` 35 instructions in a
+//! loop (`icount`), and 56 here.
 //!
-//! A line of output is `icount,<figure>,<inputs>,<instructions in all>,<most for one input>`; behind it,
-//! `code,<figure>,<address>` says where in flash the figure's code begins.
+//! A line of output is `icount,<figure>,<inputs>,<instructions in all>,<most for one input>`; a following line
+//! `code,<figure>,<address>` gives the address of the figure's code in flash.
 #![no_std]
 #![no_main]
 
@@ -21,7 +21,7 @@ use alternatives::Real;
 use alternatives::integration::{Coning, EulerAngles};
 use alternatives::prefilter::{Pt1, butterworth_4};
 use cortex_m_semihosting::hprintln;
-// Nothing is logged, but the linker script of every image of this package asks for a logger.
+// This program logs nothing, but the linker script of this package's images needs a logger.
 use defmt_rtt as _;
 use fixed_input::{FLIGHT, PERIOD_US};
 use flight_core::ConfigError;
@@ -37,15 +37,15 @@ use nalgebra::Vector3;
 use panic_semihosting as _;
 use uf_ahrs::{Ahrs, Madgwick, MadgwickParams, Mahony, MahonyParams, Vqf, VqfParams};
 
-/// Inputs of what takes samples: the table's first in flight. Two and three divide them.
+/// Slots whose samples are the inputs: the table's first ones in flight. Their number can be divided by two and three.
 const SLOTS: Range<u32> = FLIGHT..FLIGHT + 1_200;
-/// Inputs of a function.
+/// Number of inputs of a function.
 const POINTS: u32 = 1_024;
 /// Sample period, s.
 const DT_S: f32 = PERIOD_US as f32 * 1.0e-6;
 /// Sample rate, Hz.
 const RATE_HZ: f64 = 1.0e6 / PERIOD_US as f64;
-/// Cutoff of the prefilters, Hz: the paper's.
+/// Cutoff of the prefilters, Hz: that of the paper.
 const CUTOFF_HZ: f64 = 30.0;
 
 #[cortex_m_rt::entry]
@@ -58,7 +58,7 @@ fn main() -> ! {
     instruction_counter::exit()
 }
 
-/// Measures `stage`, which calls the function at `code`, on each of `inputs`.
+/// Counts `stage`, which calls the function at `code`, on each of `inputs`.
 fn row<I, O>(
     counter: &InstructionCounter,
     name: impl Display,
@@ -70,7 +70,7 @@ fn row<I, O>(
     hprintln!("code,{},{:p}", name, code);
 }
 
-/// `name: |x| body` for functions of one number or a pair, over their inputs.
+/// Counts `name: |x| body` for functions of one number or of a pair, on their inputs.
 macro_rules! functions {
     ($counter:ident, $inputs:expr; $($name:literal: |$x:ident: $type:ty| $body:expr;)*) => {$({
         #[inline(never)]
@@ -81,13 +81,13 @@ macro_rules! functions {
     })*};
 }
 
-/// `POINTS` numbers from one end of a range to the other, both ends left out.
+/// Returns `POINTS` numbers, evenly spaced over a range without its ends.
 fn over(range: Range<f32>) -> impl Iterator<Item = f32> {
     let step = (range.end - range.start) / POINTS as f32;
     (0..POINTS).map(move |n| range.start + (n as f32 + 0.5) * step)
 }
 
-/// Points all around the origin, near and far.
+/// Returns points in all directions around the origin, near and far.
 fn around() -> impl Iterator<Item = (f32, f32)> {
     over(-PI..PI).enumerate().map(|(n, angle)| {
         let (sin, cos) = arithmetic::sin_cos(angle);
@@ -100,13 +100,13 @@ fn in_f64(inputs: impl Iterator<Item = f32>) -> impl Iterator<Item = f64> {
     inputs.map(f64::from)
 }
 
-/// Sine, cosine and tangent on ±π, arc sine and cosine on ±1, the root on 0 to 100, which is what a tilt, its
-/// sine, and a specific force squared can be.
+/// Counts sine, cosine and tangent on ±π, arc sine and cosine on ±1, and the square root on 0 to 100. These are the
+/// ranges of a tilt, its sine, and a specific force squared.
 fn functions(counter: &InstructionCounter) {
     let turn = || over(-PI..PI);
     let unit = || over(-1.0..1.0);
     let square = || over(0.0..100.0);
-    // What of each count is the call and its argument.
+    // The part of each count that is the call and its argument.
     functions!(counter, turn(); "call alone": |x: f32| x;);
     functions!(counter, turn();
         "sin flight-core": |x: f32| arithmetic::sin_cos(x).0;
@@ -155,7 +155,7 @@ fn functions(counter: &InstructionCounter) {
     );
 }
 
-/// What takes samples: integration, estimators, prefilters.
+/// Counts the algorithms that take samples: integration, estimators, prefilters.
 fn samples(counter: &InstructionCounter) -> Result<(), ConfigError> {
     let params = fixed_input::config().params;
     let gyro = SensorModel::new(SensorFields::GYRO, params.gyro, SensorCalibration::NONE)?;
@@ -180,7 +180,7 @@ fn samples(counter: &InstructionCounter) -> Result<(), ConfigError> {
     Ok(())
 }
 
-/// A slot's three sensors in SI.
+/// The readings of a slot's three sensors, in SI units.
 #[derive(Clone, Copy)]
 struct Reading {
     gyro: Vec3<f32>,
@@ -188,7 +188,8 @@ struct Reading {
     mag: Vec3<f32>,
 }
 
-/// Per gyroscope sample: an algorithm of two or three samples turns the attitude with every second or third.
+/// Counts the integration for each gyroscope sample. An algorithm with two or three samples turns the attitude only
+/// with every second or third.
 fn integration<T: Real, I: Iterator<Item = Vec3<T>>>(
     counter: &InstructionCounter,
     float: &str,
@@ -236,7 +237,7 @@ fn integration<T: Real, I: Iterator<Item = Vec3<T>>>(
     );
 }
 
-/// Per sample of nine channels.
+/// Counts the prefilters for each sample of nine channels.
 fn prefilters<I: Iterator<Item = Reading>>(
     counter: &InstructionCounter,
     readings: impl Fn() -> I,
@@ -272,7 +273,7 @@ fn prefilters<I: Iterator<Item = Reading>>(
     Ok(())
 }
 
-/// The presets of flight-core, and the paper's filter on a quaternion.
+/// Counts the presets of flight-core, and the paper's filter on a quaternion.
 fn estimators<I: Iterator<Item = Reading>>(
     counter: &InstructionCounter,
     readings: impl Fn() -> I,
@@ -285,7 +286,7 @@ fn estimators<I: Iterator<Item = Reading>>(
     fn six(estimator: &mut Estimator, r: &Reading) {
         estimator.update(r.gyro, r.accel, None, DT_S);
     }
-    /// The same for one kind of filter only: the code that it takes. It is not run.
+    /// The same for one kind of filter only: its address gives the code size. It is not run.
     #[inline(never)]
     fn nine_only<F: Filter>(filter: &mut F, r: &Reading) {
         filter.update(r.gyro, r.accel, Some(r.mag), DT_S);
@@ -311,7 +312,8 @@ fn estimators<I: Iterator<Item = Reading>>(
     Ok(())
 }
 
-/// The filters of `uf-ahrs` with its own parameters, in its axes: z up, and the field turned likewise.
+/// Counts the filters of `uf-ahrs` with their default parameters, in their axes: z up, and the magnetic field turned
+/// likewise.
 fn others<I: Iterator<Item = Reading>>(counter: &InstructionCounter, readings: impl Fn() -> I) {
     #[inline(never)]
     fn nine<F: Ahrs>(filter: &mut F, [gyro, accel, mag]: &[Vector3<f32>; 3]) {

@@ -1,9 +1,9 @@
-//! Counts the instructions of the chain's stages on QEMU's Cortex-M4F: see the module `counter`.
+//! Counts the instructions of the processing stages on QEMU's Cortex-M4F: see the module `instruction_counter`.
 //!
-//! A stage's count has its call in it, as the compiler placed it.
+//! A stage's count includes its call, as the compiler has generated it.
 //!
-//! A line of output is `icount,<stage>,<inputs>,<instructions in all>,<most for one input>`; one more line for
-//! each preset of the estimator, `attitudes,<preset>,<digest>`, shows that it computes what the host does.
+//! A line of output is `icount,<stage>,<inputs>,<instructions in all>,<most for one input>`. One more line for each
+//! preset of the estimator, `attitudes,<preset>,<digest>`, shows that it computes the same as on the host.
 #![no_std]
 #![no_main]
 
@@ -12,7 +12,7 @@ mod instruction_counter;
 use core::hint::black_box;
 
 use cortex_m_semihosting::hprintln;
-// Nothing is logged, but the linker script of every image of this package asks for a logger.
+// This program logs nothing, but the linker script of this package's images needs a logger.
 use defmt_rtt as _;
 use fixed_input::{FLIGHT, PERIOD_US, STEPS};
 use flight_core::arithmetic::{atan2, sin_cos, sqrt, wrap_pi};
@@ -31,7 +31,7 @@ use instruction_counter::{InstructionCounter, Total};
 use panic_semihosting as _;
 use receiver::{Protocol, Receiver};
 
-/// Inputs of a stage: the table's first in flight.
+/// Slots that are the inputs of a stage: the table's first ones in flight.
 const INPUTS: core::ops::Range<u32> = FLIGHT..FLIGHT + 1_200;
 /// Sample period, s.
 const DT_S: f32 = PERIOD_US as f32 * 1.0e-6;
@@ -55,8 +55,8 @@ fn kernels(counter: &InstructionCounter) {
     counter.stage("wrap_pi", angles(), |x| wrap_pi(3.0 * *x));
 }
 
-/// What `tick` does for each byte of the receiver: centred sticks in both protocols, over and over; and for CRSF
-/// the worst that can come, beginnings of frames that all end with the same byte, and none of which is one.
+/// Counts the work of `tick` for each byte of the receiver: repeated centred sticks in both protocols; and the worst
+/// case for CRSF, starts of frames that all end with the same byte and are all invalid.
 fn receivers(counter: &InstructionCounter) {
     let packed = pack(&[CENTRE_TICKS; 16]);
     let mut crsf = [0; 26];
@@ -85,7 +85,7 @@ fn push(receiver: &mut Receiver, byte: u8, time_us: u64) -> Option<receiver::Fra
     receiver.push(byte, time_us)
 }
 
-/// 16 channels of 11 bits, the lowest bit first.
+/// Packs 16 channels of 11 bits, the lowest bit first.
 fn pack(channels: &[u16; 16]) -> [u8; 22] {
     let mut packed = [0; 22];
     for bit in 0..176 {
@@ -94,14 +94,14 @@ fn pack(channels: &[u16; 16]) -> [u8; 22] {
     packed
 }
 
-/// CRC-8/DVB-S2.
+/// Computes the CRC-8/DVB-S2.
 fn crc(bytes: &[u8]) -> u8 {
     bytes.iter().fold(0, |crc, byte| {
         (0..8).fold(crc ^ byte, |crc, _| crc << 1 ^ if crc & 0x80 != 0 { 0xd5 } else { 0 })
     })
 }
 
-/// A slot's three sensors in SI, calibrated and prefiltered.
+/// The readings of a slot's three sensors in SI units, calibrated and prefiltered.
 #[derive(Clone, Copy)]
 struct Reading {
     gyro: Vec3<f32>,
@@ -109,7 +109,7 @@ struct Reading {
     mag: Vec3<f32>,
 }
 
-/// The first two stages, which make the readings for the others.
+/// The first two stages, which produce the inputs of the others.
 struct Front {
     gyro: SensorModel,
     accel: SensorModel,
@@ -147,7 +147,7 @@ impl Front {
     }
 }
 
-/// One axis by itself, called for each sample as other flight stacks call theirs.
+/// A biquad of one axis, called once for each sample as in other flight stacks.
 #[inline(never)]
 fn biquad((design, section): &mut (Biquad, Section), x: f32) -> f32 {
     section.step(design, x)
@@ -179,7 +179,8 @@ fn mix(mixer: &Mixer, esc: &Esc, wrench: &Wrench) -> [f32; 4] {
     Mixer::speeds(squares).map(|speed| esc.pulse_us(speed))
 }
 
-/// What DMA plays of four pulses: what the flight board's outputs do in a step beside writing registers.
+/// Encodes four pulses as the tables that DMA sends: the flight board's outputs do this in each step, and write
+/// registers.
 #[inline(never)]
 fn dshot_frames(pulses_us: &[f32; 4]) -> [[u32; DSHOT_SLOTS]; 2] {
     let [m1, m2, m3, m4] = pulses_us.map(|us| DshotThrottle::from_pulse(us).frame(false));
@@ -196,7 +197,7 @@ fn stages(counter: &InstructionCounter) -> Result<(), ConfigError> {
     });
     counter.stage("calibration of 3 sensors", counts, |counts| front.apply(counts));
     let sensors = Front::new(&params)?;
-    // The first sample, which sets the states, is a stage of its own.
+    // The first sample sets the states, and is a stage of its own.
     let raw = || INPUTS.map(|slot| sensors.calibrate(&slot));
     front.filter(&sensors.calibrate(&FLIGHT));
     counter.stage("9 prefilters", raw(), |raw| front.filter(raw));
@@ -208,8 +209,8 @@ fn stages(counter: &InstructionCounter) -> Result<(), ConfigError> {
     first.print("first sample of 9 prefilters");
     let mut axis = (Biquad::butterworth(30.0, params.imu_rate_hz)?, Section::default());
     counter.stage("8 biquads one by one", raw(), |raw| (0..8).fold(raw.gyro.x, |x, _| biquad(&mut axis, x)));
-    // A step of full scale, its tail through the denormals, and then denormals only: the largest is 1.2e-38, and the
-    // filter's gain 1.
+    // A step of full scale, its decay through the denormals, and then denormals only: the largest is 1.2e-38, and the
+    // filter's gain is 1.
     let mut axis = (axis.0, Section::default());
     let tail = INPUTS.map(|slot| match slot - FLIGHT {
         0..100 => 2_000.0,
@@ -262,7 +263,7 @@ fn step(controller: &mut FlightController, input: &Input) -> Output {
     controller.step(input)
 }
 
-/// The whole chain over the whole table, by what there was to do.
+/// Counts the whole step over the whole table, grouped by the inputs of the step.
 fn steps(counter: &InstructionCounter) -> Result<(), ConfigError> {
     let mut controller = FlightController::new(&fixed_input::config())?;
     let [mut all, mut disarmed, mut missing, mut six, mut nine] = [Total::default(); 5];
@@ -284,7 +285,7 @@ fn steps(counter: &InstructionCounter) -> Result<(), ConfigError> {
     six.print("step in flight 6-axis");
     nine.print("step in flight 9-axis");
 
-    // The design's whole chain: every sensor in every step.
+    // The full load: every sensor in every step.
     let mut controller = FlightController::new(&fixed_input::config())?;
     let mut every = Total::default();
     for slot in 0..INPUTS.end {

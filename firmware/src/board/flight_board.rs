@@ -1,8 +1,8 @@
-//! A flight board, as its file `boards/NAME.toml` has it: `KESTREL_BOARD` names it at build time.
+//! A flight board, as described by its file `boards/NAME.toml`. `KESTREL_BOARD` selects the file at build time.
 //!
-//! The file becomes the module [`wiring`] (`firmware/build.rs`, `board/`): constants of pins, timers and streams, the
-//! peripherals by what they are for, and the handlers of those interrupts whose vectors depend on the board. Here is what all
-//! flight boards have in common. `docs/hardware.md` has their pins, and how to wire the rest.
+//! The build turns the file into the module [`wiring`] (`firmware/build.rs`, `board/`): constants of pins, timers and
+//! streams, the peripherals by purpose, and the interrupt handlers whose vectors depend on the board. This module holds
+//! what all flight boards have in common. `docs/hardware.md` describes their pins and the wiring of the other parts.
 
 use cortex_m::peripheral::NVIC;
 use cortex_m::peripheral::syst::SystClkSource;
@@ -23,7 +23,7 @@ use stm32f4xx_hal::spi::Spi;
 use stored_config::board::{Refused, read_for_board};
 use stored_config::{DecodeError, MAX_RECORD};
 use tasks::counters::COUNTERS;
-use tasks::sampling::{self, Next};
+use tasks::sampling::{self, Action};
 use tasks::{OVERDUE_US, PERIOD_US};
 
 use super::{Board, stop};
@@ -31,7 +31,7 @@ use crate::interrupts::{SAMPLING_PRIORITY, WAKE_CONTROL_LOOP, enable};
 use crate::led::Led;
 use crate::stm32f405::burst::{self, ImuBus, ImuSpi};
 use crate::stm32f405::bus::{self, Bus};
-use crate::stm32f405::esc::{Lines, Sent};
+use crate::stm32f405::esc::{Lines, SendResult};
 use crate::stm32f405::port::{self, Bytes, Port};
 use crate::stm32f405::power::{self, Failure};
 use crate::stm32f405::reset::Cause;
@@ -39,10 +39,10 @@ use crate::stm32f405::{deadline, esc};
 
 pub use crate::led::Led as Monitor;
 pub use crate::stm32f405::battery_adc::BatteryAdc;
-pub use crate::stm32f405::deadline::{Wait, now_us};
+pub use crate::stm32f405::deadline::{Delay, now_us};
 pub use crate::stm32f405::reset::Watchdog;
 
-/// What the build has made of the board's file.
+/// The code that the build generates from the board's file.
 mod wiring {
     use flight_core::geometry::{Mat3, vec3};
     use stm32f4xx_hal::dma::{self, traits::DMASet};
@@ -58,23 +58,23 @@ mod wiring {
     use crate::stm32f405::{burst, bus, port};
 
     /// Compiles only if the chip has this signal at this pin.
-    const fn fits<PIN, SIGNAL: From<PIN>>() {}
+    const fn pin_has_signal<PIN, SIGNAL: From<PIN>>() {}
 
     /// Compiles only if the chip connects this peripheral to this stream and channel.
-    const fn served<PERIPHERAL, STREAM, const CHANNEL: u8, DIRECTION>()
+    const fn stream_serves<PERIPHERAL, STREAM, const CHANNEL: u8, DIRECTION>()
     where
         PERIPHERAL: DMASet<STREAM, CHANNEL, DIRECTION>,
     {
     }
 
-    /// The data-ready line has risen.
+    /// Handles the rising edge of the data-ready line.
     fn data_ready() {
         super::data_ready();
     }
 
-    /// The receiver's port has a byte.
+    /// Handles a byte at the receiver's port.
     fn receive() {
-        super::port::take_byte::<super::OnBoard>();
+        super::port::take_byte::<super::FlightBoard>();
     }
 
     include!(concat!(env!("OUT_DIR"), "/wiring.rs"));
@@ -83,22 +83,22 @@ mod wiring {
 /// The board's name.
 pub const NAME: &str = wiring::TITLE;
 
-/// The wiring, for those that are told by a type.
-pub struct OnBoard;
+/// The board's wiring as a type.
+pub struct FlightBoard;
 
-impl burst::HasWiring for OnBoard {
+impl burst::HasWiring for FlightBoard {
     const IMU: burst::Wiring = wiring::IMU;
 }
 
-impl bus::HasWiring for OnBoard {
+impl bus::HasWiring for FlightBoard {
     const MAGNETOMETER: bus::Wiring = wiring::MAGNETOMETER;
 }
 
-impl port::HasWiring for OnBoard {
+impl port::HasWiring for FlightBoard {
     const RECEIVER: port::Wiring = wiring::RECEIVER;
 }
 
-/// What the ESCs are driven with: as the vehicle's file says, or the variable `KESTREL_ESC` at build time
+/// Protocol of the ESCs: from the vehicle's file, or from the variable `KESTREL_ESC` at build time
 /// (`docs/hardware.md`).
 const ESC: Protocol = {
     let name = match option_env!("KESTREL_ESC") {
@@ -110,7 +110,7 @@ const ESC: Protocol = {
         b"oneshot125" => Protocol::OneShot125,
         b"dshot300" => Protocol::DShot300,
         b"dshot600" => Protocol::DShot600,
-        _ => panic!("KESTREL_ESC is pwm, oneshot125, dshot300 or dshot600"),
+        _ => panic!("KESTREL_ESC must be pwm, oneshot125, dshot300 or dshot600"),
     }
 };
 
@@ -124,8 +124,8 @@ const LINES: Lines = Lines::new(
     ESC,
 );
 
-/// The vehicle's configuration as a record, made of its file at build time (`build.rs`). Its name is for those who read
-/// the image.
+/// The vehicle's configuration as a record, generated from its file at build time (`build.rs`). It has a symbol for
+/// tools that read the image.
 #[unsafe(no_mangle)]
 #[used]
 static KESTREL_VEHICLE: [u8; VEHICLE.len()] = *VEHICLE;
@@ -133,11 +133,11 @@ const VEHICLE: &[u8; include_bytes!(concat!(env!("OUT_DIR"), "/vehicle.bin")).le
     include_bytes!(concat!(env!("OUT_DIR"), "/vehicle.bin"));
 
 unsafe extern "C" {
-    /// The parameter sectors (memory.x): flash, which nothing in this image writes to.
+    /// The parameter sectors (memory.x): flash that no code in this image writes.
     safe static STORED_CONFIG: [u8; MAX_RECORD];
 }
 
-/// What the board has: datasheet sensitivities, and the inertial sensor turned as it is soldered.
+/// Returns the parameters that the board determines: datasheet sensitivities, and the IMU's mounting.
 fn params() -> Params {
     let mut params = Params::default();
     params.gyro = Sensitivity { mounting: wiring::IMU_MOUNTING, ..params.gyro };
@@ -145,10 +145,10 @@ fn params() -> Params {
     params
 }
 
-/// The stored configuration; without one that is sound, that of the vehicle's file without a calibration, which does not
-/// arm.
+/// Returns the stored configuration. If there is no valid one, returns that of the vehicle's file without a
+/// calibration, with which arming is refused.
 ///
-/// A function of its own, so that what it takes of the stack is free again when the rest of the board is brought up.
+/// It is not inlined, so that its part of the stack is free again during the rest of the start.
 #[inline(never)]
 fn config() -> Config {
     let params = params();
@@ -160,22 +160,23 @@ fn config() -> Config {
         Err(refused) => {
             let (what, field) = refused.text();
             if refused == Refused::Record(DecodeError::Empty) {
-                defmt::warn!("configuration: {=str}, flying needs one", what);
+                defmt::warn!("configuration: {=str}, arming is refused", what);
             } else {
                 defmt::error!("stored configuration refused: {=str}{=str}", what, field);
             }
             defmt::info!("configuration: vehicle {=str}", env!("KESTREL_VEHICLE_NAME"));
-            // The build has seen to it that it is one.
+            // The build has checked that this record is valid.
             read_for_board(&KESTREL_VEHICLE, &params).unwrap_or(Config { params, calibration: None })
         }
     }
 }
 
-/// Brings the board up: the motor pads low, the watchdog, clocks, the stop on the outputs, then everything else.
+/// Brings the board up: first the motor pads low, the watchdog, the clocks and the stop on the outputs, then all other
+/// parts.
 pub fn init(mut core: cortex_m::Peripherals, device: pac::Peripherals) -> Board {
-    // The pads float after a reset, and what an ESC makes of that is its affair. The pull-downs stay for ever: a timer
-    // that is being set up anew does not drive its pads.
-    let (mut rcc, parts) = wiring::sort(device);
+    // The pads float after a reset, and the reaction of an ESC to that is unknown. The pull-downs stay enabled: a timer
+    // that is being set up again does not drive its pads.
+    let (mut rcc, parts) = wiring::split(device);
     LINES.pull_pads_down();
 
     let watchdog = Watchdog::start(parts.iwdg);
@@ -186,14 +187,14 @@ pub fn init(mut core: cortex_m::Peripherals, device: pac::Peripherals) -> Board 
     power::watch_crystal(&mut rcc);
     let reset = Cause::take(&mut rcc);
 
-    // SAFETY: nobody has used the timers before.
+    // SAFETY: no code has used the timers before.
     unsafe { wiring::enable_motor_timers() };
     LINES.start();
     LINES.connect_pads();
 
-    // While a debug probe halts the core, the timers stand, and without frames or pulses an ESC stops its motor. A pad
-    // that is high then stays high until the core goes on (docs/hardware.md). The watchdog waits. And the probe can
-    // read the log while the core sleeps.
+    // While a debug probe halts the core, the timers stop, and without frames or pulses an ESC stops its motor. A pad
+    // that is high then stays high until the core continues (docs/hardware.md). The watchdog pauses. The last bit lets
+    // the probe read the log while the core sleeps.
     wiring::hold_motor_timers_in_debug_halts(&parts.dbgmcu);
     parts.dbgmcu.apb1_fz().modify(|_, w| w.dbg_iwdg_stop().set_bit());
     parts.dbgmcu.cr().modify(|_, w| w.dbg_sleep().set_bit());
@@ -203,13 +204,13 @@ pub fn init(mut core: cortex_m::Peripherals, device: pac::Peripherals) -> Board 
     deadline::start(parts.tim5, &mut rcc);
 
     if let Some(failure) = Failure::take() {
-        defmt::error!("before the reset the motors were stopped: {=str}", failure.name());
+        defmt::error!("motors stopped before the reset: {=str}", failure.name());
     }
     if power::brown_out_reset_is_off(&parts.flash) {
         defmt::warn!("the brown-out reset is not set");
     }
 
-    // Other chips on the sensor's bus would answer, too, if their selects floated.
+    // Other chips on the IMU's bus could answer too, if their chip selects floated.
     for select in &wiring::IMU_DESELECT {
         select.set_high();
         select.make_output();
@@ -219,11 +220,11 @@ pub fn init(mut core: cortex_m::Peripherals, device: pac::Peripherals) -> Board 
         Some(parts.imu_miso.into_alternate()),
         Some(parts.imu_mosi.into_alternate().speed(Speed::High)),
     );
-    // The sensor takes up to 24 MHz; 84 MHz over 8 is 10.5 MHz.
+    // The IMU allows up to 24 MHz; 84 MHz over 8 is 10.5 MHz.
     let _spi = Spi::new(parts.imu_spi, pins, MODE_3, 10.MHz(), &mut rcc);
     let _select = parts.imu_select.into_push_pull_output_in_state(gpio::PinState::High);
     let imu = Imu::new(ImuSpi::new());
-    sampling::claim();
+    sampling::begin_setup();
     pac::DMA2::enable(&mut rcc);
     let sampler = Sampler::new(ImuBus::new());
 
@@ -248,7 +249,7 @@ pub fn init(mut core: cortex_m::Peripherals, device: pac::Peripherals) -> Board 
     let mut exti = parts.exti;
     power::watch_supply(&exti);
     enable(&mut core.NVIC, Interrupt::PVD, power::DETECTOR_PRIORITY);
-    // It may have fallen before the line was watched.
+    // The supply may have fallen before the event was enabled.
     if power::supply_is_low(&parts.pwr) {
         stop_for(Failure::Supply);
     }
@@ -259,7 +260,7 @@ pub fn init(mut core: cortex_m::Peripherals, device: pac::Peripherals) -> Board 
     data_ready.enable_interrupt(&mut exti);
     enable(&mut core.NVIC, wiring::READY_INTERRUPT, SAMPLING_PRIORITY);
     deadline::expect_sample_by(now_us().wrapping_add(OVERDUE_US));
-    deadline::raise_interrupt();
+    deadline::enable_interrupt();
     enable(&mut core.NVIC, Interrupt::TIM5, SAMPLING_PRIORITY);
 
     core.SYST.set_clock_source(SystClkSource::Core);
@@ -283,54 +284,54 @@ pub fn init(mut core: cortex_m::Peripherals, device: pac::Peripherals) -> Board 
     }
 }
 
-/// The sensor has a sample.
+/// Handles a new sample of the IMU.
 #[inline(always)]
 fn data_ready() {
-    // SAFETY: this register's bits are cleared by writing ones, so that nothing else is touched.
+    // SAFETY: this register's bits are cleared by writing ones, so no other line is affected.
     unsafe { (*pac::EXTI::ptr()).pr().write(|w| w.bits(1 << wiring::READY_LINE)) };
     let ready_us = now_us();
     deadline::expect_sample_by(ready_us.wrapping_add(OVERDUE_US));
-    go_on(sampling::ready(ready_us, wiring::IMU.running()));
+    carry_out(sampling::ready(ready_us, wiring::IMU.running()));
 }
 
-/// The sensor's next sample is overdue: it is asked for, in case the line is at fault.
+/// Handles an overdue sample: reads the IMU anyway, in case only the line has failed.
 #[interrupt]
 fn TIM5() {
-    // The sample may have come while this waited for its turn.
+    // The sample may have come while this interrupt was pending.
     if !deadline::acknowledge() {
         return;
     }
     let overdue_us = now_us();
     deadline::expect_sample_by(overdue_us.wrapping_add(PERIOD_US));
-    go_on(sampling::poll(overdue_us));
+    carry_out(sampling::poll(overdue_us));
 }
 
 #[inline(always)]
-fn go_on(next: Next) {
+fn carry_out(next: Action) {
     match next {
-        Next::Burst => wiring::IMU.start(),
-        Next::Flight => NVIC::pend(WAKE_CONTROL_LOOP),
-        Next::Stop => stop(),
+        Action::StartBurst => wiring::IMU.start(),
+        Action::WakeControlLoop => NVIC::pend(WAKE_CONTROL_LOOP),
+        Action::StopMotors => stop(),
     }
 }
 
-/// The inertial sensor, by DMA.
-pub type Sampler = sampling::Sampler<ImuBus<OnBoard>>;
+/// Samples of the IMU by DMA.
+pub type Sampler = sampling::Sampler<ImuBus<FlightBoard>>;
 
-/// Its set-up.
-pub type Imu = crate::imu::Imu<OnBoard>;
+/// Set-up of the IMU.
+pub type Imu = crate::imu::Imu<FlightBoard>;
 
 /// The receiver.
-pub type RcReceiver = crate::rc_receiver::RcReceiver<OnBoard>;
+pub type RcReceiver = crate::rc_receiver::RcReceiver<FlightBoard>;
 
 /// The magnetometer.
-pub struct Magnetometer(crate::magnetometer::Magnetometer<Bus<OnBoard>>);
+pub struct Magnetometer(crate::magnetometer::Magnetometer<Bus<FlightBoard>>);
 
 impl Magnetometer {
-    /// The new sample, if there is one.
+    /// Returns the new sample, if there is one.
     pub fn run(&mut self) -> Option<MagSample> {
         bus::begin_run();
-        self.0.run(&mut Wait)
+        self.0.run(&mut Delay)
     }
 }
 
@@ -338,7 +339,7 @@ impl Magnetometer {
 pub struct Outputs(());
 
 impl Outputs {
-    /// Sends pulses of rotors 1 to 4. The permit is used up: a step has one, and it moves the motors once.
+    /// Sends pulses of rotors 1 to 4. The permit is consumed: each step has one, and it allows one output.
     #[inline]
     pub fn drive(&mut self, permit: MotorPermit, pulses_us: [f32; 4]) {
         send(permit.apply(pulses_us, STOP_US));
@@ -351,52 +352,53 @@ impl Outputs {
     }
 }
 
-/// The output map: rotors are counted clockwise from the front left.
+/// Sends pulses of rotors 1 to 4 to the pads M1 to M4, by the board's output map. Rotors are counted clockwise from the
+/// front left.
 #[inline]
 fn send(pulses_us: [f32; 4]) {
     match LINES.send(wiring::ROTORS.map(|rotor| pulses_us[rotor])) {
-        Sent::Whole => {}
-        Sent::Dropped => COUNTERS.outputs_dropped.add(),
-        Sent::Recovered => COUNTERS.outputs_recovered.add(),
+        SendResult::Sent => {}
+        SendResult::Dropped => COUNTERS.outputs_dropped.add(),
+        SendResult::Recovered => COUNTERS.outputs_recovered.add(),
     }
 }
 
-/// Puts the stop on the motor pads after a fault, in whatever state it has found them. [`crate::stm32f405::esc`] says
-/// how long that takes.
+/// Puts the stop on the motor pads after a fault, in any state of the outputs. `esc/end.rs` has the time that this
+/// takes.
 pub fn stop_after_fault() {
-    // SAFETY: the clocks of ports that nothing else uses any more.
+    // SAFETY: enables the clocks of ports that no other code uses any more.
     unsafe { wiring::enable_motor_ports() };
-    // SAFETY: it is only read.
+    // SAFETY: the register is only read.
     let on_pll = unsafe { &*pac::RCC::ptr() }.cfgr().read().sws().is_pll();
     if on_pll {
-        LINES.settle();
+        LINES.finish_and_restart();
         send([STOP_US; 4]);
     } else {
-        // A fault before the clocks are set up, or the crystal has failed. With this clock nothing can be sent: the
-        // pads are low.
+        // The fault came before the clock set-up, or the crystal has failed. With this clock no pulse can be sent: keep
+        // the pads low.
         LINES.pull_pads_down();
     }
 }
 
-/// [`stop`], for a reason that the next start tells.
+/// Stores the reason for the next start's log, and calls [`stop`].
 fn stop_for(failure: Failure) -> ! {
     failure.note();
     stop()
 }
 
-/// The supply is below the voltage detector's level.
+/// Handles a supply below the voltage detector's level.
 #[interrupt]
 fn PVD() -> ! {
     stop_for(Failure::Supply)
 }
 
-/// Nothing but the clock security system raises it.
+/// Handles a failed crystal: only the clock security system raises this interrupt.
 #[exception]
 unsafe fn NonMaskableInt() -> ! {
     stop_for(Failure::Crystal)
 }
 
-/// After [`stop_after_fault`]: stays here until the watchdog resets the board, and goes on sending the stop.
+/// Repeats the stop after [`stop_after_fault`] until the watchdog resets the board.
 pub fn halt() -> ! {
-    LINES.stop_for_ever()
+    LINES.send_stop_forever()
 }

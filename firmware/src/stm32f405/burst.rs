@@ -1,23 +1,22 @@
-//! Bursts of the inertial sensor: an SPI, received by one stream of DMA and sent by another.
+//! Bursts of the IMU: one SPI, with one DMA stream for reception and one for transmission.
 //!
 //! ```text
-//!  select low │ a stream feeds 16 bytes, one takes 16 bytes: 12.2 µs at 10.5 MHz │ its vector │ select high
+//!  select low │ one stream sends 16 bytes, one receives 16 bytes: 12.2 µs at 10.5 MHz │ its vector │ select high
 //! ```
-//! The end of reception is the end of the burst. The receiving stream raises its vector then, and after an error of its
-//! own; an error of the other stream shows as a burst that does not end.
+//! The end of reception is the end of the burst. At that time the receiving stream raises its vector. It also does so
+//! after an error of its own. An error of the sending stream shows as a burst that does not end.
 //!
-//! The vector is a level: it stays up as long as a flag of that stream is set whose interrupt is on, and only a write to
-//! LIFCR or HIFCR takes a flag down. [`BurstBus::acknowledge`] is that write.
+//! The vector is a level: it stays raised as long as a flag of the stream is set whose interrupt is enabled. Only a
+//! write to LIFCR or HIFCR clears a flag. [`BurstBus::acknowledge`] does that write.
 //!
-//! For its set-up the sensor has the same bus byte by byte ([`ImuSpi`]), with the requests for DMA off. Who may use
-//! it when is in [`tasks::sampling`].
+//! During the set-up, the IMU is accessed byte by byte on the same bus ([`ImuSpi`]), with the DMA requests disabled.
+//! [`tasks::sampling`] controls which of the two may use the bus.
 //!
 //! # Why not `dma::Transfer`
-//! What `stm32f4xx-hal` 0.23 has for this was tried out: a `Transfer` for each stream, started again by
-//! `next_transfer_with`. The data-ready interrupt then takes 75 instructions for each burst instead of 49, and is 84
-//! instructions longer; it has two panics (the option in which the buffer is kept), and a wait without a limit
-//! (`stream_disable`), none of which the fast loop may have. Its check of streams and channels at compile time is
-//! kept: the board's wiring has one.
+//! The `Transfer` of `stm32f4xx-hal` 0.23 was tried: one for each stream, started again by `next_transfer_with`. The
+//! data-ready interrupt then takes 75 instructions for each burst instead of 49, and is 84 instructions longer. It also
+//! has two panics (the option that holds the buffer) and a wait without a limit (`stream_disable`), which the fast loop
+//! must not have. This driver keeps its compile-time check of streams and channels: the board's wiring has one.
 
 use core::marker::PhantomData;
 use core::sync::atomic::AtomicU8;
@@ -30,33 +29,33 @@ use stm32f4xx_hal::pac::dma2::st::cr;
 use stm32f4xx_hal::pac::spi1;
 use tasks::sampling::{BurstBus, FrameBuffer, Signal};
 
-use super::deadline::Wait;
+use super::deadline::Delay;
 use super::dma::Stream;
 use super::pin::Pin;
 
-/// How the sensor is connected.
+/// The IMU's connections.
 #[derive(Clone, Copy)]
 pub struct Wiring {
-    /// Its SPI.
+    /// The IMU's SPI.
     pub spi: *const spi1::RegisterBlock,
-    /// DMA of what comes.
+    /// DMA stream of received bytes.
     pub receive: Stream,
-    /// DMA of what is sent.
+    /// DMA stream of sent bytes.
     pub send: Stream,
-    /// Its chip select.
+    /// The IMU's chip select.
     pub select: Pin,
 }
 
-/// A board's wiring as a type: so that all of it is constant where it is used.
+/// A board's wiring as a type, so that its values are compile-time constants where they are used.
 pub trait HasWiring {
-    /// It.
+    /// The wiring.
     const IMU: Wiring;
 }
 
-/// Looks for a byte that is on its way, which takes 0.8 µs; a look takes some 10 cycles, so that this is 60 µs.
-const BYTE_LOOKS: u32 = 1_000;
+/// Polls for a byte, which takes 0.8 µs to transfer. A poll takes about 10 cycles: 1,000 polls are 60 µs.
+const BYTE_POLLS: u32 = 1_000;
 
-// A variable, so that it is in RAM: what DMA sends, it need not fetch from flash.
+// An atomic, so that it is in RAM: DMA then does not read the sent bytes from flash.
 static SENT: [AtomicU8; FRAME_LEN] = {
     let mut sent = [const { AtomicU8::new(0) }; FRAME_LEN];
     let mut n = 0;
@@ -70,11 +69,11 @@ static RECEIVED: FrameBuffer = FrameBuffer::new();
 
 impl Wiring {
     fn spi(&self) -> &'static spi1::RegisterBlock {
-        // SAFETY: of the two that use it, `ImuBus` and `ImuSpi`, one has the bus at a time (`tasks::sampling`).
+        // SAFETY: `ImuBus` and `ImuSpi` use it, and only one of them owns the bus at a time (`tasks::sampling`).
         unsafe { &*self.spi }
     }
 
-    /// The sensor listens, or does not.
+    /// Drives the chip select.
     fn select(&self, selected: bool) {
         if selected {
             self.select.set_low();
@@ -83,10 +82,10 @@ impl Wiring {
         }
     }
 
-    /// Starts a burst. For the data-ready interrupt, when no burst runs.
+    /// Starts a burst. For the data-ready interrupt, when no burst is running.
     pub fn start(&self) {
         self.select(true);
-        // Those of the last burst.
+        // Clear the flags of the previous burst.
         self.receive.clear_all();
         self.send.clear_all();
         let (receive, send) = (self.receive.registers(), self.send.registers());
@@ -98,59 +97,59 @@ impl Wiring {
         send.cr().write(|w| both(w, self.send).dir().memory_to_peripheral());
     }
 
-    /// Whether a burst runs.
+    /// Returns whether a burst is running.
     pub fn running(&self) -> bool {
         self.receive.runs()
     }
 
-    /// What is still in the SPI's registers goes: data and status read in this order take an overrun away too.
+    /// Empties the SPI's receive register. Reading data and status in this order also clears an overrun.
     fn drain(&self) {
         self.spi().dr().read();
         self.spi().sr().read();
     }
 
-    /// A byte out, a byte in.
-    fn exchange(&self, byte: u8) -> Result<u8, Hangs> {
+    /// Sends a byte and returns the byte received meanwhile.
+    fn exchange(&self, byte: u8) -> Result<u8, Timeout> {
         self.spi().dr().write(|w| w.dr().set(byte.into()));
-        for _ in 0..BYTE_LOOKS {
+        for _ in 0..BYTE_POLLS {
             if self.spi().sr().read().rxne().bit_is_set() {
                 return Ok(self.spi().dr().read().bits() as u8);
             }
         }
-        Err(Hangs)
+        Err(Timeout)
     }
 }
 
-/// What both streams have: bytes, from or to a buffer, before anything else on their controller; on.
+/// Settings of both streams: bytes, from or to a buffer, highest priority on the controller, enabled.
 fn both(w: &mut cr::W, stream: Stream) -> &mut cr::W {
     w.chsel().set(stream.channel()).pl().very_high().minc().incremented().en().enabled()
 }
 
-/// The bus, byte by byte, for the sensor's set-up.
+/// The IMU's bus byte by byte, for the set-up.
 pub struct ImuSpi<W>(PhantomData<W>);
 
-/// A byte did not come: the peripheral has no clock.
+/// A byte was not received in time: the SPI has no clock.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Hangs;
+pub struct Timeout;
 
-impl embedded_hal::spi::Error for Hangs {
+impl embedded_hal::spi::Error for Timeout {
     fn kind(&self) -> ErrorKind {
         ErrorKind::Other
     }
 }
 
 impl<W: HasWiring> ImuSpi<W> {
-    /// The SPI has been set up, and the chip select is high.
+    /// Takes an SPI that is already set up, with the chip select high.
     pub const fn new() -> Self {
         Self(PhantomData)
     }
 
-    /// Begins to use the bus.
+    /// Takes the bus from the bursts: disables the DMA requests.
     pub fn claim(&mut self) {
         W::IMU.spi().cr2().modify(|_, w| w.rxdmaen().clear_bit().txdmaen().clear_bit());
     }
 
-    /// Leaves it to bursts.
+    /// Gives the bus back to the bursts: enables the DMA requests.
     pub fn hand_over(&mut self) {
         W::IMU.drain();
         W::IMU.spi().cr2().modify(|_, w| w.rxdmaen().set_bit().txdmaen().set_bit());
@@ -158,11 +157,11 @@ impl<W: HasWiring> ImuSpi<W> {
 }
 
 impl<W> ErrorType for ImuSpi<W> {
-    type Error = Hangs;
+    type Error = Timeout;
 }
 
 impl<W: HasWiring> SpiDevice for ImuSpi<W> {
-    fn transaction(&mut self, operations: &mut [Operation<'_, u8>]) -> Result<(), Hangs> {
+    fn transaction(&mut self, operations: &mut [Operation<'_, u8>]) -> Result<(), Timeout> {
         let wiring = W::IMU;
         wiring.drain();
         wiring.select(true);
@@ -186,7 +185,7 @@ impl<W: HasWiring> SpiDevice for ImuSpi<W> {
                 Ok(())
             }),
             Operation::DelayNs(ns) => {
-                Wait.delay_ns(*ns);
+                Delay.delay_ns(*ns);
                 Ok(())
             }
         });
@@ -195,16 +194,16 @@ impl<W: HasWiring> SpiDevice for ImuSpi<W> {
     }
 }
 
-/// The bus for bursts.
+/// The IMU's bus for bursts.
 pub struct ImuBus<W>(PhantomData<W>);
 
 impl<W: HasWiring> ImuBus<W> {
-    /// Prepares the streams, whose controller's clock runs.
+    /// Prepares the streams. The clock of their DMA controller must be running.
     pub fn new() -> Self {
         let wiring = W::IMU;
         let (receive, send) = (wiring.receive.registers(), wiring.send.registers());
         let data = wiring.spi().dr().as_ptr() as u32;
-        // SAFETY: a register, and two statics.
+        // SAFETY: the addresses of a register and of two statics.
         unsafe {
             receive.par().write(|w| w.pa().bits(data));
             send.par().write(|w| w.pa().bits(data));
@@ -216,12 +215,12 @@ impl<W: HasWiring> ImuBus<W> {
 }
 
 impl<W: HasWiring> BurstBus for ImuBus<W> {
-    const SETS_UP: bool = true;
+    const SUPPORTS_SETUP: bool = true;
 
     #[inline]
     fn acknowledge(&mut self) -> Signal {
         let flags = W::IMU.receive.flags();
-        // A flag that rises after the read stays, and raises the interrupt again.
+        // A flag that rises after the read stays set, and raises the interrupt again.
         W::IMU.receive.clear(flags);
         if flags.is_error() {
             Signal::Failed
@@ -242,8 +241,8 @@ impl<W: HasWiring> BurstBus for ImuBus<W> {
     fn abort(&mut self) {
         let wiring = W::IMU;
         wiring.send.stop();
-        // What has been handed to the SPI still goes out, and what comes in for it would be the next burst's first byte.
-        for _ in 0..BYTE_LOOKS {
+        // A byte already in the SPI is still sent, and the byte received for it would become the next burst's first.
+        for _ in 0..BYTE_POLLS {
             if wiring.spi().sr().read().bsy().bit_is_clear() {
                 break;
             }

@@ -1,12 +1,12 @@
-//! An I2C for sensors that may not be there, on wires that may be short or open.
+//! An I2C bus for sensors that may be missing, on wires that may be shorted or open.
 //!
 //! `stm32f4xx-hal` 0.23 waits for start, stop and address without a limit (`i2c.rs`, `prepare_write` and
-//! `prepare_read`): a line that is held low would keep its caller for ever. Here every wait ends when the time of
-//! the run is up, which the task sets with [`begin_run`].
+//! `prepare_read`): a line held low would block its caller without end. Here every wait ends when the run's time is up.
+//! The task starts that time with [`begin_run`].
 //!
-//! Reception is the method of RM0090, 27.3.3, in which the clock is stretched while two bytes wait: no step of it
-//! has to come within a byte's time, so that interrupts may come between any two. A single byte is the exception,
-//! and takes a few instructions with interrupts off.
+//! Reception follows RM0090, 27.3.3: the clock is stretched while two bytes wait, so no step must come within a byte's
+//! time, and interrupts may come between any two steps. Only the reception of a single byte needs a few instructions
+//! with interrupts disabled.
 
 use core::marker::PhantomData;
 use core::sync::atomic::{AtomicU32, Ordering};
@@ -15,51 +15,51 @@ use embedded_hal::delay::DelayNs;
 use embedded_hal::i2c::{self, ErrorKind, ErrorType, I2c, NoAcknowledgeSource, Operation};
 use stm32f4xx_hal::pac::i2c1;
 
-use super::deadline::{Wait, now_us};
+use super::deadline::{Delay, now_us};
 use super::pin::Pin;
 
-/// How the sensors are connected.
+/// Connections of the bus.
 #[derive(Clone, Copy)]
 pub struct Wiring {
-    /// Their I2C.
+    /// The bus's I2C peripheral.
     pub i2c: *const i2c1::RegisterBlock,
-    /// Its clock.
+    /// The clock pin.
     pub scl: Pin,
-    /// Its data.
+    /// The data pin.
     pub sda: Pin,
 }
 
-/// A board's wiring as a type: so that all of it is constant where it is used.
+/// A board's wiring as a type, so that its values are compile-time constants where they are used.
 pub trait HasWiring {
-    /// It.
+    /// The wiring.
     const MAGNETOMETER: Wiring;
 }
 
-/// Time that a run has on the bus, its delays included, µs.
+/// Time of one run on the bus, including its delays, µs.
 const RUN_US: u32 = 4_000;
-/// Bits a second.
+/// Bit rate, bit/s.
 const RATE_HZ: u32 = 400_000;
-/// From one look at the status to the next, cycles of the core: a microsecond or two, of the 22 µs that a byte takes.
-/// Looking without a pause would load the peripheral bus, which the inertial sensor's DMA shares, and gain nothing.
-const LOOK_CYCLES: u32 = 200;
+/// Delay between two polls of the status, core cycles: one to two microseconds of the 22 µs that a byte takes. Polling
+/// without a delay would load the peripheral bus, which the IMU's DMA shares, with no benefit.
+const POLL_CYCLES: u32 = 200;
 
 static RUN_BEGAN_US: AtomicU32 = AtomicU32::new(0);
 
-/// The bus's time begins to run.
+/// Starts the run's time.
 pub fn begin_run() {
     RUN_BEGAN_US.store(now_us(), Ordering::Relaxed);
 }
 
-/// Why an access failed.
+/// Reason why an access failed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum BusError {
-    /// Nobody answers at the address, or takes the byte.
+    /// No device acknowledges the address or the byte.
     NotAcknowledged,
-    /// The run's time is up: a line is held, or a wire is off.
-    TimeUp,
-    /// Somebody else pulls at the lines.
-    Disturbed,
-    /// Two bytes cannot be read, nor none.
+    /// The run's time is up: a line is held low, or a wire is open.
+    Timeout,
+    /// Arbitration was lost: another device drives the lines.
+    ArbitrationLost,
+    /// Reads of zero or two bytes are not supported.
     Length,
 }
 
@@ -67,15 +67,15 @@ impl i2c::Error for BusError {
     fn kind(&self) -> ErrorKind {
         match self {
             Self::NotAcknowledged => ErrorKind::NoAcknowledge(NoAcknowledgeSource::Unknown),
-            Self::Disturbed => ErrorKind::Bus,
-            Self::TimeUp | Self::Length => ErrorKind::Other,
+            Self::ArbitrationLost => ErrorKind::Bus,
+            Self::Timeout | Self::Length => ErrorKind::Other,
         }
     }
 }
 
-/// The bus. Its copies are one bus: the task that has them uses one at a time.
+/// The bus. All copies are the same bus: their task uses one at a time.
 pub struct Bus<W> {
-    /// APB1's clock.
+    /// Clock of APB1, MHz.
     apb1_mhz: u32,
     wiring: PhantomData<W>,
 }
@@ -87,21 +87,21 @@ impl<W> Clone for Bus<W> {
 }
 
 impl<W: HasWiring> Bus<W> {
-    /// The bus, whose pins are connected, and whose clock is that of APB1.
+    /// Sets up the bus. Its pins must be connected and its clock enabled.
     pub fn new(apb1_mhz: u32) -> Self {
         let bus = Self { apb1_mhz, wiring: PhantomData };
         bus.set_up();
         bus
     }
 
-    /// Frees the data line, resets the peripheral and sets it up: fast mode, low twice as long as high, rise time
+    /// Frees the data line, resets the peripheral and configures it: fast mode, low twice as long as high, rise time
     /// 300 ns.
     fn set_up(&self) {
         W::MAGNETOMETER.free_data_line();
         let regs = W::MAGNETOMETER.regs();
         regs.cr1().write(|w| w.swrst().set_bit());
         regs.cr1().reset();
-        // SAFETY: APB1's clock in MHz, within the field's range; the other fields as computed here.
+        // SAFETY: APB1's clock in MHz is within the field's range; the other fields are computed here.
         unsafe {
             regs.cr2().write(|w| w.freq().bits(self.apb1_mhz as u8));
             regs.ccr()
@@ -112,19 +112,19 @@ impl<W: HasWiring> Bus<W> {
     }
 }
 
-fn in_time() -> Result<(), BusError> {
+fn check_time() -> Result<(), BusError> {
     let since_us = now_us().wrapping_sub(RUN_BEGAN_US.load(Ordering::Relaxed));
-    if since_us > RUN_US { Err(BusError::TimeUp) } else { Ok(()) }
+    if since_us > RUN_US { Err(BusError::Timeout) } else { Ok(()) }
 }
 
 impl Wiring {
     fn regs(&self) -> &'static i2c1::RegisterBlock {
-        // SAFETY: only the task that has the bus uses it.
+        // SAFETY: only the task that owns the bus uses it.
         unsafe { &*self.i2c }
     }
 
-    /// A sensor that was cut off in the middle of a byte may hold the data line, waiting for the clock: it gets the
-    /// clocks to finish, up to nine, from the pin itself. Takes up to 0.1 ms.
+    /// Frees the data line: a sensor that was interrupted in the middle of a byte may hold it low while it waits for
+    /// the clock. The clock pin gives up to nine clocks, with which the sensor finishes the byte. Takes up to 0.1 ms.
     fn free_data_line(&self) {
         self.scl.set_high();
         self.scl.make_output();
@@ -133,9 +133,9 @@ impl Wiring {
                 break;
             }
             self.scl.set_low();
-            Wait.delay_us(5);
+            Delay.delay_us(5);
             self.scl.set_high();
-            Wait.delay_us(5);
+            Delay.delay_us(5);
         }
         self.scl.make_alternate();
     }
@@ -146,7 +146,7 @@ impl Wiring {
         self.regs().sr2().read();
         for byte in bytes {
             self.wait(|status| status.tx_e().bit_is_set())?;
-            // SAFETY: a byte.
+            // SAFETY: the value is a byte.
             self.regs().dr().write(|w| unsafe { w.bits(u16::from(*byte)) });
         }
         self.wait(|status| status.btf().bit_is_set())
@@ -154,15 +154,15 @@ impl Wiring {
 
     fn read(&self, address: u8, bytes: &mut [u8]) -> Result<(), BusError> {
         match bytes {
-            [only] => {
+            [byte] => {
                 self.start(false)?;
                 self.send_address(address << 1 | 1)?;
-                // The end must be ordered before the byte is complete.
+                // The stop must be requested before the byte is complete.
                 cortex_m::interrupt::free(|_| {
                     self.regs().sr2().read();
                     self.stop();
                 });
-                *only = self.receive()?;
+                *byte = self.receive()?;
                 Ok(())
             }
             [first @ .., third_last, second_last, last] => {
@@ -172,7 +172,7 @@ impl Wiring {
                 for byte in first {
                     *byte = self.receive()?;
                 }
-                // Two bytes wait, and the clock stands. The next one is the last.
+                // Two bytes wait, and the clock is stretched. The next byte is the last.
                 self.wait(|status| status.btf().bit_is_set())?;
                 self.regs().cr1().modify(|_, w| w.ack().clear_bit());
                 *third_last = self.regs().dr().read().bits() as u8;
@@ -186,8 +186,8 @@ impl Wiring {
         }
     }
 
-    /// Waits for `done` of the status; ends at an error, and when the run's time is up. A bus error is no error: the
-    /// chip sees some that are none (errata sheet ES0182, "Spurious bus error detection in master mode").
+    /// Waits until `done` is true of the status, an error occurs, or the run's time is up. A bus error is ignored,
+    /// because the chip reports false ones (errata sheet ES0182, "Spurious bus error detection in master mode").
     fn wait(&self, done: impl Fn(&i2c1::sr1::R) -> bool) -> Result<(), BusError> {
         loop {
             let status = self.regs().sr1().read();
@@ -195,27 +195,27 @@ impl Wiring {
                 return Err(BusError::NotAcknowledged);
             }
             if status.arlo().bit_is_set() {
-                return Err(BusError::Disturbed);
+                return Err(BusError::ArbitrationLost);
             }
             if done(&status) {
                 return Ok(());
             }
-            in_time()?;
-            cortex_m::asm::delay(LOOK_CYCLES);
+            check_time()?;
+            cortex_m::asm::delay(POLL_CYCLES);
         }
     }
 
     fn start(&self, acknowledge: bool) -> Result<(), BusError> {
-        // The register must not be written to before the last stop is through.
+        // The register must not be written before the previous stop is finished.
         while self.regs().cr1().read().stop().bit_is_set() {
-            in_time()?;
+            check_time()?;
         }
         self.regs().cr1().modify(|_, w| w.start().set_bit().ack().bit(acknowledge));
         self.wait(|status| status.sb().bit_is_set())
     }
 
     fn send_address(&self, address: u8) -> Result<(), BusError> {
-        // SAFETY: a byte.
+        // SAFETY: the value is a byte.
         self.regs().dr().write(|w| unsafe { w.bits(u16::from(address)) });
         self.wait(|status| status.addr().bit_is_set())
     }
@@ -238,15 +238,15 @@ impl<W: HasWiring> I2c for Bus<W> {
     fn transaction(&mut self, address: u8, operations: &mut [Operation<'_>]) -> Result<(), BusError> {
         let wiring = W::MAGNETOMETER;
         let mut result = Ok(());
-        let mut ends_itself = false;
+        let mut stop_sent = false;
         for operation in operations {
             result = match operation {
                 Operation::Write(bytes) => {
-                    ends_itself = false;
+                    stop_sent = false;
                     wiring.write(address, bytes)
                 }
                 Operation::Read(bytes) => {
-                    ends_itself = true;
+                    stop_sent = true;
                     wiring.read(address, bytes)
                 }
             };
@@ -255,14 +255,14 @@ impl<W: HasWiring> I2c for Bus<W> {
             }
         }
         match result {
-            Ok(()) if ends_itself => {}
+            Ok(()) if stop_sent => {}
             Ok(()) => wiring.stop(),
-            // An answer that does not come is common, and leaves the bus in order.
+            // A missing acknowledge is common, and leaves the bus in a defined state.
             Err(BusError::NotAcknowledged) => {
                 wiring.stop();
                 wiring.regs().sr1().modify(|_, w| w.af().clear_bit());
             }
-            // Whatever state the peripheral is in, it begins anew.
+            // The peripheral may be in any state: set it up again.
             Err(_) => self.set_up(),
         }
         result

@@ -1,8 +1,8 @@
-//! A stream of DMA by its number: the registers' description has a field of another name for each stream's flags.
+//! A DMA stream by its number: the register description has a differently named field for each stream's flags.
 
 use stm32f4xx_hal::pac::dma2;
 
-/// A stream, and the channel by which its peripheral asks for it.
+/// A stream, with the request channel of its peripheral.
 #[derive(Clone, Copy)]
 pub struct Stream {
     controller: *const dma2::RegisterBlock,
@@ -10,10 +10,10 @@ pub struct Stream {
     channel: u8,
 }
 
-// SAFETY: an address of registers, and two numbers.
+// SAFETY: the type holds an address of registers and two numbers.
 unsafe impl Sync for Stream {}
 
-/// Flags of a stream, as they lie in its six bits of LISR and HISR, and of LIFCR and HIFCR (RM0090, 10.5.1 to 10.5.4).
+/// Flags of a stream, in the order of its six bits in LISR and HISR, and in LIFCR and HIFCR (RM0090, 10.5.1 to 10.5.4).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Flags(u32);
 
@@ -23,14 +23,14 @@ impl Flags {
     const TRANSFER_ERROR: u32 = 1 << 3;
     const COMPLETE: u32 = 1 << 5;
 
-    /// The transfer ended with an error.
+    /// Returns whether the transfer ended with an error.
     #[inline(always)]
     #[cfg_attr(feature = "simulated", expect(dead_code, reason = "no sensor is wired there"))]
     pub fn is_error(self) -> bool {
         self.0 & Self::TRANSFER_ERROR != 0
     }
 
-    /// The transfer is complete.
+    /// Returns whether the transfer is complete.
     #[inline(always)]
     #[cfg_attr(feature = "simulated", expect(dead_code, reason = "no sensor is wired there"))]
     pub fn is_complete(self) -> bool {
@@ -38,41 +38,41 @@ impl Flags {
     }
 }
 
-/// Looks at a stream that was told to stop: it finishes its item first, a microsecond.
-const STOP_LOOKS: u32 = 200;
+/// Polls until a stream has stopped: it finishes its current item first, which takes a microsecond.
+const STOP_POLLS: u32 = 200;
 
 impl Stream {
-    /// Stream `number` of a controller, on `channel`.
+    /// Returns stream `number` of a controller, on `channel`.
     pub const fn new(controller: *const dma2::RegisterBlock, number: u8, channel: u8) -> Self {
         assert!(number < 8 && channel < 8);
         Self { controller, number, channel }
     }
 
     fn dma(&self) -> &'static dma2::RegisterBlock {
-        // SAFETY: a controller's registers. Each stream has one user (the board's file gives no stream away twice), and
-        // flags are cleared by writing ones, so that no other stream is touched.
+        // SAFETY: the registers of a controller. Each stream has one user (the board's file assigns no stream twice),
+        // and flags are cleared by writing ones, so that no other stream is affected.
         unsafe { &*self.controller }
     }
 
-    /// Its registers.
+    /// Returns the stream's registers.
     #[inline(always)]
     pub fn registers(&self) -> &'static dma2::ST {
         self.dma().st(usize::from(self.number))
     }
 
-    /// Its channel, for CHSEL.
+    /// Returns the channel, for CHSEL.
     #[inline(always)]
     pub fn channel(&self) -> u8 {
         self.channel
     }
 
-    /// First bit of its flags, of those that it shares a register with.
+    /// Returns the position of the stream's flags in their shared register.
     #[inline(always)]
     const fn shift(&self) -> u32 {
         [0, 6, 16, 22][self.number as usize % 4]
     }
 
-    /// Its flags.
+    /// Returns the stream's flags.
     #[inline(always)]
     #[cfg_attr(feature = "simulated", expect(dead_code, reason = "no sensor is wired there"))]
     pub fn flags(&self) -> Flags {
@@ -81,11 +81,11 @@ impl Stream {
         Flags(bits >> self.shift() & Flags::ALL.0)
     }
 
-    /// Takes down these flags, and no others.
+    /// Clears these flags and no others.
     #[inline(always)]
     pub fn clear(&self, flags: Flags) {
         let bits = flags.0 << self.shift();
-        // SAFETY: a written one takes a flag down, and a zero does nothing; the reserved bits are zero.
+        // SAFETY: writing one clears a flag, writing zero has no effect; the reserved bits are zero.
         if self.number < 4 {
             self.dma().lifcr().write(|w| unsafe { w.bits(bits) });
         } else {
@@ -94,22 +94,22 @@ impl Stream {
         }
     }
 
-    /// Takes down all its flags.
+    /// Clears all flags of the stream.
     #[inline(always)]
     pub fn clear_all(&self) {
         self.clear(Flags::ALL);
     }
 
-    /// Whether a transfer is under way.
+    /// Returns whether a transfer is running.
     #[inline(always)]
     pub fn runs(&self) -> bool {
         self.registers().cr().read().en().is_enabled()
     }
 
-    /// Ends a transfer, and takes the flags down with which a stream says that it has been stopped.
+    /// Stops a transfer, and clears the flags that the stop sets.
     pub fn stop(&self) {
         self.registers().cr().modify(|_, w| w.en().clear_bit());
-        for _ in 0..STOP_LOOKS {
+        for _ in 0..STOP_POLLS {
             if !self.runs() {
                 break;
             }

@@ -1,25 +1,25 @@
-//! Four ESC outputs: the motor pads M1 to M4, by the timers and DMA streams that the board's file gives them.
+//! Four ESC outputs: the motor pads M1 to M4, by the timers and DMA streams that the board's file assigns.
 //!
-//! | protocol | timers | what a step does | without steps |
+//! | protocol | timers | each step | without steps |
 //! |---|---|---|---|
-//! | PWM | run for ever | writes four compare values, taken at the next period | the last pulse goes on |
-//! | OneShot125 | stand still | writes four compare values, starts one pulse | no pulses |
-//! | DShot300, DShot600 | one period a bit | writes the frames' tables, which DMA plays | no frames, lines low |
+//! | PWM | run continuously | writes four compare values, used from the next period on | the last pulse is repeated |
+//! | OneShot125 | stopped between pulses | writes four compare values, starts one pulse | no pulses |
+//! | DShot300, DShot600 | one period for each bit | writes the frames' tables, which DMA sends | no frames, lines low |
 //!
-//! # All four at once
-//! All timers count 84 MHz: those of APB2, TIM1 and TIM8, divide their 168 MHz by two. They have the same prescaler and
-//! period. With PWM they are started one right after the other and never stopped, so that their periods begin within a
-//! microsecond of each other for ever. Compare values are preloaded: a timer takes them when a period begins. What remains
-//! is that a period begins between two of the four writes, and so nothing is written in the last [`GUARD_US`] of a period;
-//! the writes, their arithmetic and what may interrupt them take half of that. So one step's four pulses always go out in
-//! the same period. The last timer is the one that is looked at: once it has begun a period, so have the others.
+//! # Four outputs in the same period
+//! All timers count 84 MHz: TIM1 and TIM8 on APB2 divide their 168 MHz by two. All have the same prescaler and period.
+//! With PWM they are started directly one after the other and never stopped, so their periods always begin within a
+//! microsecond of each other. Compare values are preloaded: a timer uses them from the start of the next period. A
+//! period could still begin between two of the four writes, so no compare value is written in the last [`GUARD_US`] of
+//! a period. The writes, their arithmetic and possible interrupts take half of that. Therefore one step's four pulses
+//! always start in the same period. The last timer's counter is polled: once it has begun a period, so have the others.
 //!
-//! With the others the timers stand while they are written to, and are started afterwards.
+//! With the other protocols the timers are stopped while they are written, and started afterwards.
 //!
 //! # DShot by DMA
-//! At the end of each bit a timer asks for DMA, which writes the next compare values through the timer's DMAR register: of
-//! two channels side by side, or of all four. The values are preloaded, so that those of the first request, one bit time
-//! after the start, are on the line from two bit times after the start on:
+//! At the end of each bit a timer requests DMA, which writes the next compare values through the timer's DMAR register:
+//! of two neighbouring channels, or of all four. The values are preloaded: those of the first request, one bit time
+//! after the start, are on the line from two bit times after the start:
 //! ```text
 //!  bit times        0         1         2         3   ...   17        18        19
 //!  on the line      low       low       bit 15    bit 14    bit 0     low       low
@@ -28,13 +28,14 @@
 //! A frame ends 18 bit times after its start: 60 µs with DShot300, 30 µs with DShot600. The last two of the 18 values
 //! are zero, and the line stays low.
 //!
-//! # What is not sent
-//! A step may come within microseconds of the one before, when a sample that was overdue comes after all. It finds the
-//! last pulse or frame on its way, and sends nothing: what is on its way is new enough. [`Sent::Dropped`] says so. Three
-//! steps in a row take 985 µs at least. So a pulse or frame that is on its way in two steps in a row hangs, and a frame
-//! of which DMA has not played the end was cut. Timers and DMA are then set up anew, and [`Sent::Recovered`] says so.
+//! # Dropped and recovered pulses
+//! A step may follow the previous one within microseconds, when an overdue sample arrives after all. The last pulse or
+//! frame is then still being sent. The step sends nothing, because that pulse or frame is new enough, and reports
+//! [`SendResult::Dropped`]. Three consecutive steps take at least 985 µs. Therefore a pulse or frame that is still
+//! being sent in two consecutive steps hangs. A frame that DMA has not sent completely was cut short. In both cases
+//! timers and DMA are set up again, and the step reports [`SendResult::Recovered`].
 //!
-//! What a fault does to the outputs is in `esc/end.rs`.
+//! `esc/end.rs` describes the outputs after a fault.
 
 use core::sync::atomic::{AtomicBool, AtomicU32, Ordering, fence};
 
@@ -50,114 +51,114 @@ use super::pin::Pin;
 #[cfg(feature = "flight-board")]
 mod end;
 
-/// Clock of all timers, counts a microsecond and a second: twice APB1's.
+/// Clock of all timers, counts per microsecond and per second: twice APB1's clock.
 const CLOCK_MHZ: f32 = 84.0;
 const CLOCK_HZ: f32 = 84.0e6;
 
-/// PWM: nothing is written so shortly before a period begins, µs.
+/// PWM: time before the start of a period in which no compare value is written, µs.
 const GUARD_US: f32 = 3.0;
-/// Looks at the counter that last longer than that: each takes more than 5 cycles.
-const GUARD_LOOKS: u32 = 120;
+/// Polls of the counter that take longer than that time: each takes more than 5 cycles.
+const GUARD_POLLS: u32 = 120;
 
-/// OneShot125: from the start of the timers to full speed's pulse, counts. It must not be zero, or that pulse
-/// would begin before the timer does.
+/// OneShot125: counts from the start of the timers to the start of the full-throttle pulse. It must not be zero, or
+/// that pulse would begin before the timer does.
 const ONESHOT_LEAD: u16 = 84;
 const ONESHOT_PERIOD: u16 = 250 * 84 + ONESHOT_LEAD;
 
-/// DShot300: counts of a bit, 3⅓ µs.
+/// DShot300: counts for each bit, 3⅓ µs.
 const DSHOT300_BIT: u16 = 280;
-/// DShot600: counts of a bit, 1⅔ µs.
+/// DShot600: counts for each bit, 1⅔ µs.
 const DSHOT600_BIT: u16 = 140;
 
-/// What has become of pulses.
+/// Result of sending a step's pulses.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[must_use = "a pulse that is not sent must be counted"]
-pub enum Sent {
-    /// They go out.
-    Whole,
-    /// They do not: the last ones are on their way.
+pub enum SendResult {
+    /// The pulses are being sent.
+    Sent,
+    /// The pulses were dropped, because the last ones are still being sent.
     Dropped,
-    /// They go out; the last ones hung, or were cut.
+    /// The pulses are being sent, after a restart: the last ones hung or were cut short.
     Recovered,
 }
 
 /// A timer with motor pads.
 #[derive(Clone, Copy)]
 pub struct Timer {
-    /// Its registers. TIM1's are those of all: what the others lack is used with TIM1 and TIM8 only (RM0090, 17.4 and
-    /// 18.4).
+    /// The timer's registers. TIM1's layout is used for all timers; the registers that the others lack are used with
+    /// TIM1 and TIM8 only (RM0090, 17.4 and 18.4).
     pub registers: *const tim1::RegisterBlock,
-    /// It is TIM1 or TIM8: twice the clock, and outputs that must be let out.
+    /// Whether it is TIM1 or TIM8: twice the clock, and a main output enable.
     pub advanced: bool,
-    /// DMA that plays frames.
+    /// DMA stream that sends frames.
     pub stream: Stream,
     /// First channel that DMA writes to, counted from 0.
     pub first: u8,
-    /// How many pairs of channels DMA writes to, from there on: 1 or 2.
+    /// Number of channel pairs that DMA writes to, from there on: 1 or 2.
     pub pairs: u8,
 }
 
-// SAFETY: an address of registers, and numbers.
+// SAFETY: the type holds an address of registers, and numbers.
 unsafe impl Sync for Timer {}
 
 /// A motor pad.
 #[derive(Clone, Copy)]
 pub struct Pad {
-    /// Its pin.
+    /// The pad's pin.
     #[cfg(feature = "flight-board")]
     pub pin: Pin,
-    /// The pin's alternate function, by which it is the timer's.
+    /// The pin's alternate function for the timer.
     #[cfg(feature = "flight-board")]
     pub function: u8,
-    /// Its timer's registers, as one of [`Outputs::timers`] has them.
+    /// The registers of the pad's timer: one of [`Outputs::timers`].
     pub timer: *const tim1::RegisterBlock,
-    /// Channel, counted from 0.
+    /// The channel, counted from 0.
     pub channel: u8,
-    /// It is the channel's complementary output.
+    /// Whether it is the channel's complementary output.
     pub complementary: bool,
 }
 
-// SAFETY: an address of registers, and numbers.
+// SAFETY: the type holds an address of registers, and numbers.
 unsafe impl Sync for Pad {}
 
 impl Pad {
     #[inline(always)]
     fn registers(&self) -> Registers {
-        // SAFETY: as a timer's.
+        // SAFETY: see `Timer::registers`.
         unsafe { &*self.timer }
     }
 }
 
-/// The pads of a board, and what drives them.
+/// A board's motor pads, with their timers.
 #[derive(Clone, Copy)]
 pub struct Outputs {
     /// The timers, in the order in which they are started.
     pub timers: &'static [Timer],
-    /// M1 to M4.
+    /// The pads M1 to M4.
     pub pads: &'static [Pad; 4],
-    /// Lets the clocks of timers and DMA run.
+    /// Enables the clocks of timers and DMA.
     pub enable: unsafe fn(),
     /// Resets the timers.
     pub reset: unsafe fn(),
 }
 
-/// The outputs, speaking one protocol. A constant of the board: a fault must find it without anybody's help.
+/// The outputs with one protocol. A constant of the board, so that a fault handler can use it without other state.
 #[derive(Clone, Copy)]
 pub struct Lines {
     outputs: Outputs,
     protocol: Protocol,
     prescaler: u16,
-    /// Counts.
+    /// Timer period, counts.
     period: u16,
-    /// Counts of servo pulses a microsecond.
+    /// Counts per microsecond of the servo scale.
     per_us: f32,
 }
 
-/// The last step's pulses were dropped.
+/// Whether the last step's pulses were dropped.
 static DROPPED: AtomicBool = AtomicBool::new(false);
 
 impl Lines {
-    /// Outputs that speak `protocol`.
+    /// Returns the outputs with `protocol`.
     pub const fn new(outputs: Outputs, protocol: Protocol) -> Self {
         assert!(outputs.timers.len() <= TABLES.len());
         let (prescaler, period) = match protocol {
@@ -174,22 +175,22 @@ impl Lines {
         Self { outputs, protocol, prescaler, period, per_us: CLOCK_MHZ / (prescaler as f32 + 1.0) }
     }
 
-    /// Sets the timers up, and starts them with the stop pulse. They are as after a reset, their streams of DMA are off,
-    /// and the clocks run; the pins may be connected afterwards.
+    /// Sets up the timers, and starts them with the stop pulse. The timers must be in their reset state, with their DMA
+    /// streams off and their clocks enabled. The pins may be connected afterwards.
     #[inline(never)]
     pub fn start(&self) {
         let one_pulse = self.protocol == Protocol::OneShot125;
         for timer in self.outputs.timers {
             let registers = timer.registers();
-            // Only the end of a period asks for DMA, not the update that this module makes.
+            // Only the end of a period requests DMA, not the update events that this module generates.
             registers.cr1().write(|w| w.arpe().enabled().opm().bit(one_pulse).urs().counter_only());
             registers.psc().write(|w| w.psc().set(timer.prescaler(self.prescaler)));
             registers.arr().write(|w| w.arr().set(self.period - 1));
         }
         for pad in self.outputs.pads {
             let registers = pad.registers();
-            // Mode 1 is high up to the compare value, 2 from there on. OneShot125 takes the latter, so that the line is
-            // low while the timer stands.
+            // Mode 1 is high below the compare value, mode 2 from the compare value on. OneShot125 uses mode 2, so that
+            // the line is low while the timer is stopped.
             let n = pad.channel % 2;
             if pad.channel < 2 {
                 registers.ccmr1_output().modify(|_, w| {
@@ -211,11 +212,12 @@ impl Lines {
                 });
             }
         }
-        // Compare values at which the lines stay low, before the outputs are switched on.
+        // Set compare values that keep the lines low, before the outputs are enabled.
         self.load(if one_pulse { [self.period; 4] } else { [0; 4] });
-        self.each(take_preloaded);
+        self.each(generate_update);
         for pad in self.outputs.pads {
-            // A complementary output alone is the same as the other one: it is not turned (RM0090, table 95).
+            // A complementary output alone has the polarity of the normal output: it is not inverted (RM0090, table
+            // 95).
             pad.registers().ccer().modify(|_, w| {
                 if pad.complementary { w.ccne(pad.channel).set_bit() } else { w.cce(pad.channel).set_bit() }
             });
@@ -227,10 +229,10 @@ impl Lines {
         }
         match self.protocol {
             Protocol::Pwm { .. } => {
-                // They run before a pad is high: a pulse that begins while its timer stands is too long.
+                // Start them before a pad is high: a pulse that begins while its timer is stopped would be too long.
                 self.each(run);
                 self.load_servo([STOP_US; 4]);
-                self.each(take_preloaded);
+                self.each(generate_update);
             }
             Protocol::OneShot125 => {}
             Protocol::DShot300 | Protocol::DShot600 => {
@@ -261,16 +263,16 @@ impl Lines {
 
     /// Sends pulses of M1 to M4 (µs on the servo scale).
     #[inline]
-    pub fn send(&self, pulses_us: [f32; 4]) -> Sent {
-        let sent = self.make_way();
-        if sent == Sent::Dropped {
+    pub fn send(&self, pulses_us: [f32; 4]) -> SendResult {
+        let sent = self.prepare_to_send();
+        if sent == SendResult::Dropped {
             return sent;
         }
         match self.protocol {
             Protocol::Pwm { .. } => {
                 let guard = self.period - (GUARD_US * self.per_us) as u16;
                 if let Some(last) = self.outputs.timers.last() {
-                    for _ in 0..GUARD_LOOKS {
+                    for _ in 0..GUARD_POLLS {
                         if last.registers().cnt().read().cnt().bits() < guard {
                             break;
                         }
@@ -281,13 +283,13 @@ impl Lines {
             Protocol::OneShot125 => {
                 let counts = pulses_us.map(|us| oneshot125_counts(us, CLOCK_MHZ));
                 self.load(counts.map(|counts| self.period.saturating_sub(counts)));
-                self.each(take_preloaded);
+                self.each(generate_update);
                 self.each(run);
             }
             Protocol::DShot300 | Protocol::DShot600 => {
                 let frames = pulses_us.map(|us| DshotThrottle::from_pulse(us).frame(false));
                 for (timer, table) in self.outputs.timers.iter().zip(&TABLES) {
-                    // A channel without a pad plays a frame that nobody sees.
+                    // A channel without a pad gets a frame that leads nowhere.
                     let frame = |channel: u8| {
                         let pads = self.outputs.pads.iter().zip(frames);
                         pads.fold(0, |found, (pad, frame)| {
@@ -301,10 +303,10 @@ impl Lines {
                     }
                 }
                 fence(Ordering::Release);
-                self.each(rewind);
+                self.each(stop_timer);
                 self.load([0; 4]);
-                self.each(take_preloaded);
-                self.outputs.timers.iter().for_each(Timer::play);
+                self.each(generate_update);
+                self.outputs.timers.iter().for_each(Timer::start_dma);
                 self.each(|registers| {
                     registers.dier().write(|w| w.ude().enabled());
                     run(registers);
@@ -314,16 +316,16 @@ impl Lines {
         sent
     }
 
-    /// Whether the next pulses can be sent.
+    /// Checks whether the next pulses can be sent, and restarts outputs that hang.
     #[inline]
-    fn make_way(&self) -> Sent {
+    fn prepare_to_send(&self) -> SendResult {
         if let Protocol::Pwm { .. } = self.protocol {
-            return Sent::Whole;
+            return SendResult::Sent;
         }
         let hangs = if self.busy() {
             if !DROPPED.load(Ordering::Relaxed) {
                 DROPPED.store(true, Ordering::Relaxed);
-                return Sent::Dropped;
+                return SendResult::Dropped;
             }
             true
         } else {
@@ -333,12 +335,12 @@ impl Lines {
         if hangs {
             self.reset();
             self.start();
-            return Sent::Recovered;
+            return SendResult::Recovered;
         }
-        Sent::Whole
+        SendResult::Sent
     }
 
-    /// Whether a pulse or a frame is on its way. PWM's always is, and takes the next one while it is.
+    /// Returns whether a pulse or a frame is being sent. Never true for PWM, which accepts new values at any time.
     #[inline]
     fn busy(&self) -> bool {
         match self.protocol {
@@ -350,8 +352,7 @@ impl Lines {
         }
     }
 
-    /// Whether the last frame ended before all of it was played: DMA found an error, and the timer goes on with the
-    /// last bit.
+    /// Returns whether the last frame ended early: DMA found an error, and the timer repeats the last bit.
     #[inline]
     fn was_cut(&self) -> bool {
         match self.protocol {
@@ -364,14 +365,14 @@ impl Lines {
         }
     }
 
-    /// Resets the timers, ends their DMA, and lets the clocks run. The pads fall: a timer in reset does not drive them,
-    /// and they are pulled down. The streams are ended one by one: the inertial sensor may have others of the same
+    /// Resets the timers, stops their DMA, and enables the clocks. The pads fall: a timer in reset does not drive them,
+    /// and they have pull-downs. The streams are stopped one by one, because the IMU may use others of the same
     /// controller.
     #[cold]
     #[inline(never)]
     fn reset(&self) {
-        // SAFETY: only this module uses the timers, and nothing of it is under way: this is the control loop, or a fault
-        // that does not return to it.
+        // SAFETY: only this module uses the timers, and none of its functions is in progress: the caller is the control
+        // loop, or a fault handler that does not return to it.
         unsafe {
             (self.outputs.enable)();
             (self.outputs.reset)();
@@ -382,9 +383,9 @@ impl Lines {
 
 type Registers = &'static tim1::RegisterBlock;
 
-/// The timer takes its preloaded prescaler, period and compare values, and begins a period.
+/// Generates an update event: the timer loads its preloaded prescaler, period and compare values, and begins a period.
 #[inline(always)]
-fn take_preloaded(registers: Registers) {
+fn generate_update(registers: Registers) {
     registers.egr().write(|w| w.ug().update());
 }
 
@@ -398,40 +399,40 @@ fn running(registers: Registers) -> bool {
     registers.cr1().read().cen().is_enabled()
 }
 
-/// Stops the timer, with no request for DMA left.
+/// Stops the timer, and disables its DMA request.
 #[inline(always)]
-fn rewind(registers: Registers) {
+fn stop_timer(registers: Registers) {
     registers.cr1().modify(|_, w| w.cen().disabled());
     registers.dier().write(|w| w.ude().disabled());
 }
 
-/// Offset of CCR1 among a timer's registers, counted in registers, as DCR counts.
+/// Offset of CCR1 in a timer's registers, counted in registers, as DCR counts.
 const FIRST_COMPARE: u8 = 0x34 / 4;
 
 impl Timer {
     #[inline(always)]
     fn registers(&self) -> Registers {
-        // SAFETY: after `init` nobody owns the timer, and only this module writes to it: the control loop, or a fault
-        // that does not return to it.
+        // SAFETY: after `init` no code owns the timer, and only this module writes to it: from the control loop, or
+        // from a fault handler that does not return to it.
         unsafe { &*self.registers }
     }
 
-    /// What makes it count 84 MHz over `prescaler` and one.
+    /// Returns the prescaler with which the timer counts 84 MHz / (`prescaler` + 1).
     fn prescaler(&self, prescaler: u16) -> u16 {
         if self.advanced { 2 * prescaler + 1 } else { prescaler }
     }
 
-    /// What is the same in all frames. The stream is off.
+    /// Sets up DMA with the settings common to all frames. The stream must be off.
     fn set_up_dma(&self, table: &'static Table) {
         let registers = self.registers();
-        // SAFETY: so many registers less one, which begin with a compare value, and end with CCR4 at the latest.
+        // SAFETY: the burst length less one; the burst begins at a compare value, and ends at CCR4 at the latest.
         registers
             .dcr()
             .write(|w| unsafe { w.dbl().bits(2 * self.pairs - 1).dba().bits(FIRST_COMPARE + self.first) });
         let stream = self.stream.registers();
         // SAFETY: a register of the timer, which takes 16 bits.
         stream.par().write(|w| unsafe { w.pa().bits(registers.dmar().as_ptr() as u32) });
-        // SAFETY: a static that has twice as many halfwords for each pair, and that nothing but this module writes to.
+        // SAFETY: a static with two halfwords for each value of a pair, which only this module writes to.
         stream.m0ar().write(|w| unsafe { w.m0a().bits(table.0.as_ptr() as u32) });
         stream.cr().write(|w| {
             w.chsel().set(self.stream.channel()).pl().high();
@@ -439,9 +440,9 @@ impl Timer {
         });
     }
 
-    /// Plays its table with the next bits.
+    /// Starts DMA of the table.
     #[inline(always)]
-    fn play(&self) {
+    fn start_dma(&self) {
         self.stream.clear_all();
         let stream = self.stream.registers();
         stream.ndtr().write(|w| w.ndt().set(2 * u16::from(self.pairs) * DSHOT_SLOTS as u16));
@@ -449,15 +450,15 @@ impl Timer {
     }
 }
 
-/// Compare values of a timer's channels, in turn, which DMA plays: for each bit one or two pairs. In RAM that DMA
-/// reaches: the linker puts no variable into the core-coupled memory (memory.x).
+/// Compare values that DMA sends, for each bit one or two pairs of channels. DMA must reach their RAM: the linker puts
+/// no variable into the core-coupled memory (memory.x).
 struct Table([AtomicU32; 2 * DSHOT_SLOTS]);
 
-/// One for each timer: four pads have four at most.
+/// One table for each timer: four pads have at most four timers.
 static TABLES: [Table; 4] = [const { Table([const { AtomicU32::new(0) }; 2 * DSHOT_SLOTS]) }; 4];
 
 impl Table {
-    /// Writes the compare values of a pair, of so many.
+    /// Writes the compare values of pair `pair`, of `pairs` in the table.
     #[inline(always)]
     fn write(&self, pair: usize, pairs: usize, duties: [u32; DSHOT_SLOTS]) {
         for (slot, value) in self.0.iter().skip(pair).step_by(pairs).zip(duties) {

@@ -1,20 +1,20 @@
-//! The chip's peripherals, as far as the hardware abstraction layer does not have them or waits for them.
+//! Drivers of the chip's peripherals, where the hardware abstraction layer has none, or has one that waits.
 //!
-//! | module | what | waits |
+//! | module | driver | waits |
 //! |---|---|---|
-//! | [`esc`] | four outputs by timers and DMA | with PWM up to 3 µs |
-//! | [`burst`] | the inertial sensor by SPI and DMA | no |
-//! | [`bus`] | an I2C, for sensors that may not be there | until the run's time is up |
-//! | [`port`] | the receiver by a serial port | no |
+//! | [`esc`] | four ESC outputs by timers and DMA | with PWM up to 3 µs |
+//! | [`burst`] | the IMU by SPI and DMA | no |
+//! | [`bus`] | an I2C bus for sensors that may be missing | until the run's time is up |
+//! | [`port`] | the receiver's serial port | no |
 //! | [`pin`] | a pin by its number | no |
-//! | [`dma`] | a stream of DMA by its number | while it stops, a microsecond |
+//! | [`dma`] | a DMA stream by its number | while it stops, a microsecond |
 //! | [`deadline`] | time, and the deadline of a sample, by TIM5 | no |
-//! | [`power`] | what happens when the chip's supply or its crystal fails | at start, until there is supply |
-//! | [`battery_adc`] | the battery by ADC1 | no |
-//! | [`reset`] | why the chip has started, and the watchdog that restarts it | no |
+//! | [`power`] | failures of the chip's supply or its crystal | at start, until the supply is high enough |
+//! | [`battery_adc`] | the battery voltage by ADC1 | no |
+//! | [`reset`] | the cause of the last reset, and the watchdog | no |
 //!
-//! Which peripheral, pin, timer or stream it is, each is told by the board's wiring. Registers and their fields are those
-//! of ST's RM0090.
+//! The board's wiring says which peripheral, pin, timer or stream each driver uses. Registers and their fields are
+//! those of ST's RM0090.
 
 #[cfg(feature = "flight-board")]
 pub mod battery_adc;

@@ -1,11 +1,11 @@
-//! The receiver's port: a serial port, which only listens.
+//! The receiver's serial port, receive only.
 //!
-//! Each byte is taken by an interrupt, with the time, and waits in a queue until the next tick (1 ms). At CRSF's
-//! speed that is up to 42 bytes. The port has no room for a second byte, so its interrupt comes before the flight
-//! task; it takes some twenty instructions.
+//! An interrupt reads each byte, stores it with its time in a queue, and the next tick (1 ms) processes it. With CRSF
+//! that is up to 42 bytes. The port cannot buffer a second byte, so its interrupt has a higher priority than the
+//! control loop; it takes about twenty instructions.
 //!
-//! The interrupt's vector depends on the board, and so its handler is the board's and no task of RTIC's, which hands its
-//! tasks what they have. The handler finds its end of the queue in a static.
+//! The interrupt's vector depends on the board, so its handler is not an RTIC task, and RTIC cannot give it resources.
+//! The handler gets its end of the queue from a static.
 
 use core::cell::UnsafeCell;
 use core::marker::PhantomData;
@@ -17,44 +17,45 @@ use stm32f4xx_hal::pac::usart1;
 
 use super::deadline::now_us;
 
-/// Where the receiver's bytes come in.
+/// Connection of the receiver.
 #[derive(Clone, Copy)]
 pub struct Wiring {
-    /// The serial port. USART1's registers are those of all: what UART4 and UART5 lack is not used (RM0090, 30.6).
+    /// The serial port. USART1's register layout is used for all; the registers that UART4 and UART5 lack are not used
+    /// (RM0090, 30.6).
     pub serial: *const usart1::RegisterBlock,
-    /// Its clock is that of APB2.
+    /// Whether its clock is that of APB2.
     pub on_apb2: bool,
 }
 
-/// A board's wiring as a type: so that all of it is constant where it is used.
+/// A board's wiring as a type, so that its values are compile-time constants where they are used.
 pub trait HasWiring {
-    /// It.
+    /// The wiring.
     const RECEIVER: Wiring;
 }
 
 impl Wiring {
     fn regs(&self) -> &'static usart1::RegisterBlock {
-        // SAFETY: of its two sides one only reads status and data, the other only writes the control registers.
+        // SAFETY: the interrupt handler only reads status and data, the task only writes the control registers.
         unsafe { &*self.serial }
     }
 }
 
-/// Bytes that wait, and their times (µs).
+/// Received bytes with their times, µs.
 pub type Bytes = Queue<(u32, Received), 64>;
 
-/// The interrupt's end of the queue, once the port is open.
+/// The interrupt's end of the queue, after the port is open.
 struct ToQueue(UnsafeCell<Option<Producer<'static, (u32, Received)>>>);
 
-// SAFETY: it is written to once, before the port's interrupt is let in, and then only that interrupt's handler has it.
+// SAFETY: it is written once, before the port's interrupt is enabled; after that only the interrupt's handler uses it.
 unsafe impl Sync for ToQueue {}
 
 static TO_QUEUE: ToQueue = ToQueue(UnsafeCell::new(None));
 
-/// Takes the byte that has come: for the port's interrupt.
+/// Stores the received byte with its time. For the port's interrupt.
 #[inline]
 pub fn take_byte<W: HasWiring>() {
     let at_us = now_us();
-    // Reading the status, then the data, clears both.
+    // Reading the status and then the data clears both.
     let status = W::RECEIVER.regs().sr().read();
     let byte = W::RECEIVER.regs().dr().read().bits() as u8;
     let damaged = status.pe().bit_is_set()
@@ -62,14 +63,14 @@ pub fn take_byte<W: HasWiring>() {
         || status.nf().bit_is_set()
         || status.ore().bit_is_set();
     let received = if damaged { Received::Damaged } else { Received::Byte(byte) };
-    // SAFETY: see `ToQueue`. The handler does not interrupt itself.
+    // SAFETY: see `ToQueue`. The handler cannot interrupt itself.
     if let Some(queue) = unsafe { &mut *TO_QUEUE.0.get() } {
-        // A queue that is full loses a byte, and with it a frame, whose checksum or length is wrong then.
+        // A full queue drops a byte. The frame is then invalid by its checksum or length.
         queue.enqueue((at_us, received)).ok();
     }
 }
 
-/// The tick's side.
+/// The task's end of the port.
 pub struct Port<W> {
     bytes: Consumer<'static, (u32, Received)>,
     clock_hz: u32,
@@ -77,10 +78,11 @@ pub struct Port<W> {
 }
 
 impl<W: HasWiring> Port<W> {
-    /// Listens as `line` says, at a port whose pin is connected, with the clocks of APB1 and APB2.
+    /// Opens the port with the settings in `line`. The pin must be connected. The two clocks are those of APB1 and
+    /// APB2, Hz.
     pub fn open(bytes: &'static mut Bytes, line: Line, [apb1_hz, apb2_hz]: [u32; 2]) -> Self {
         let (producer, consumer) = bytes.split();
-        // SAFETY: see `ToQueue`: the interrupt has not been let in yet.
+        // SAFETY: see `ToQueue`: the interrupt is not enabled yet.
         unsafe { *TO_QUEUE.0.get() = Some(producer) };
         let clock_hz = if W::RECEIVER.on_apb2 { apb2_hz } else { apb1_hz };
         let mut port = Self { bytes: consumer, clock_hz, wiring: PhantomData };
@@ -88,25 +90,26 @@ impl<W: HasWiring> Port<W> {
         port
     }
 
-    /// The next byte that waits, and when it came (µs).
+    /// Returns the next byte in the queue and the time when it came, µs.
     pub fn next(&mut self) -> Option<(u32, Received)> {
         self.bytes.dequeue()
     }
 
-    /// Listens as `line` says from now on. What waits is forgotten. The line's polarity is up to the board: this
-    /// chip cannot turn it.
+    /// Changes the settings to those in `line`, and discards the bytes in the queue. The polarity of the line is fixed
+    /// by the board: this chip cannot invert it.
     pub fn set(&mut self, line: Line) {
         let regs = W::RECEIVER.regs();
         regs.cr1().reset();
         while self.bytes.dequeue().is_some() {}
-        // With 16-fold oversampling the register is the clock over the speed, in sixteenths: to the nearest one.
+        // With 16-fold oversampling, the register holds the clock over the baud rate in sixteenths, here rounded to the
+        // nearest.
         let divider = (self.clock_hz + line.baud / 2) / line.baud.max(1);
-        // SAFETY: 100 or 200 for CRSF, 420 or 840 for SBUS: within the register.
+        // SAFETY: 100 or 200 for CRSF, 420 or 840 for SBUS: within the register's range.
         regs.brr().write(|w| unsafe { w.bits(divider as u16) });
         let two_stop_bits = if line.stop_bits == 2 { 0b10 } else { 0b00 };
         // SAFETY: both values are valid.
         regs.cr2().write(|w| unsafe { w.stop().bits(two_stop_bits) });
-        // A parity bit counts as a ninth data bit.
+        // The parity bit counts as a ninth data bit.
         regs.cr1().write(|w| {
             w.m().bit(line.even_parity).pce().bit(line.even_parity);
             w.rxneie().set_bit().re().set_bit().ue().set_bit()

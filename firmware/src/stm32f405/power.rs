@@ -1,38 +1,38 @@
-//! The chip's supply and its crystal, and what happens when they fail.
+//! Failures of the chip's supply and of its crystal.
 //!
-//! | VDD | who | does what |
+//! | VDD | detected by | effect |
 //! |---|---|---|
-//! | above 2.76 V | [`wait_for_supply`] | before that the clocks are not set up, and nothing drives the motors |
-//! | below 2.7 V | | at 168 MHz with five wait states the flash may be read wrong (datasheet, table 15) |
-//! | below 2.66 V (2.59 to 2.71) | the voltage detector, [`watch_supply`], and its interrupt | stops the motors, for good: the watchdog starts the chip anew |
+//! | above 2.76 V | [`wait_for_supply`] | until then the clocks are not set up, and the motors are not driven |
+//! | below 2.7 V | | at 168 MHz with five wait states, flash reads may be wrong (datasheet, table 15) |
+//! | below 2.66 V (2.59 to 2.71) | the voltage detector, [`watch_supply`], and its interrupt | stops the motors until the watchdog resets the chip |
 //! | below 2.83 V at level 3, 2.50 V at level 2 | the brown-out reset, if its option byte is set: [`brown_out_reset_is_off`] | resets the chip |
 //! | below 1.7 V | the power-down reset | resets the chip |
 //!
-//! The thresholds are those of the datasheet's table 19, typical; for a rising supply they are 0.1 V higher.
+//! The thresholds are the typical ones of the datasheet's table 19. For a rising supply they are 0.1 V higher.
 //!
-//! The detector is set as low as the flash allows: a dip that the chip survives within its limits does not end a
-//! flight. What lies below is out of them, and a program that may be read wrong must not drive motors. With the 6.2 µF
-//! that ST asks for at VDD, 100 mA take 40 µs from 3.3 V down to the threshold: a dip of a microsecond does not get
-//! there. The stop begins a microsecond after the threshold.
+//! The detector is set as low as the flash allows, so that a dip within the chip's limits does not end a flight. Below
+//! that the program may be read wrong, and must not drive motors. With the 6.2 µF that ST asks for at VDD, 100 mA take
+//! 40 µs from 3.3 V down to the threshold: a dip of a microsecond does not reach it. The stop begins a microsecond
+//! after the threshold is crossed.
 //!
 //! # Why the firmware does not set the brown-out reset
-//! Its level is an option byte. Setting one erases them all and writes them anew, and a reset or a loss of power
-//! in between leaves the chip read-protected: the next debug probe has to erase the firmware to get in. Power comes
-//! with the plug of a battery, which bounces, and the watchdog cannot be stopped. So it is a step of the first
-//! power-up, with a debug probe and a steady supply (`docs/hardware.md`), and the log says at each start if it is
-//! missing.
+//! Its level is an option byte. Setting one erases all option bytes and writes them again. A reset or a power loss in
+//! between leaves the chip read-protected, and the next debug probe must erase the firmware to get access. Power comes
+//! from a battery's plug, which bounces, and the watchdog cannot be stopped. Therefore the level is set once at the
+//! first power-up, with a debug probe and a steady supply (`docs/hardware.md`). The log reports at each start if it is
+//! not set.
 //!
 //! # The crystal
-//! The clock security system watches it. When it fails, the hardware turns to the internal oscillator of 16 MHz and raises
-//! the non-maskable interrupt, within microseconds. The core and its bus clocks then have 16 MHz, and APB1's timers 8
-//! instead of 84: every pulse would be ten times as long as it says, and every frame of DShot ten times as slow. So nothing is
-//! sent any more: the pads are pulled down ([`crate::board::stop_after_fault`]), and without a signal an ESC stops its motor.
-//! The watchdog has a clock of its own, and resets the chip. If the crystal does not start, the set-up of the
-//! clocks waits for it until the next reset by the watchdog, and so on, with the pads pulled down.
+//! The clock security system monitors it. If it fails, the hardware switches to the internal 16 MHz oscillator and
+//! raises the non-maskable interrupt, within microseconds. The core and its bus clocks then run at 16 MHz, and APB1's
+//! timers at 8 instead of 84: every pulse would be ten times too long, and every DShot frame ten times too slow.
+//! Therefore sending stops: the pads are pulled down ([`crate::board::stop_after_fault`]), and without a signal an ESC
+//! stops its motor. The watchdog has its own clock, and resets the chip. If the crystal does not start, the clock
+//! set-up waits for it until the watchdog's next reset, and so on, with the pads pulled down.
 //!
-//! One could go on flying with the internal oscillator and the PLL: at 1 % it is exact enough for pulses and for the receiver.
-//! But a crystal that has failed is a board that has come apart, and a path that is taken once in its life is one that nobody
-//! has tried.
+//! The flight could continue with the internal oscillator and the PLL: its 1 % is accurate enough for pulses and for
+//! the receiver. But a failed crystal means a board with mechanical damage, and that code path would be used at most
+//! once in a board's life and could not be tested well.
 
 use core::mem::MaybeUninit;
 use core::sync::atomic::{AtomicU32, Ordering};
@@ -40,17 +40,17 @@ use core::sync::atomic::{AtomicU32, Ordering};
 use stm32f4xx_hal::pac::{EXTI, FLASH, PWR};
 use stm32f4xx_hal::rcc::{Enable, Rcc};
 
-/// Of the voltage detector: nominally 2.6 V (RM0090, 5.4.1).
+/// Level of the voltage detector: nominally 2.6 V (RM0090, 5.4.1).
 const DETECTOR_LEVEL: u8 = 0b100;
 
-/// RTIC priority of the voltage detector's interrupt: more urgent than all others, because it does not come back.
+/// RTIC priority of the voltage detector's interrupt: above all others, because its handler does not return.
 pub const DETECTOR_PRIORITY: u8 = 7;
 
-/// What an option byte of an unset brown-out reset reads. (`stm32f4` 0.16 has the names of the levels the wrong
-/// way round; ST's are: 0 is level 3, 1 level 2, 2 level 1, 3 off.)
+/// Value of the option field when the brown-out reset is off. (`stm32f4` 0.16 has the names of the levels in the wrong
+/// order; ST's are: 0 is level 3, 1 is level 2, 2 is level 1, 3 is off.)
 const BROWN_OUT_RESET_OFF: u8 = 0b11;
 
-/// What has failed.
+/// A failure that stops the motors.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Failure {
     /// The supply fell below the limit.
@@ -62,7 +62,7 @@ pub enum Failure {
 impl Failure {
     const ALL: [Self; 2] = [Self::Supply, Self::Crystal];
 
-    /// For people.
+    /// Returns the name for the log.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Supply => "supply below 2.7 V",
@@ -70,7 +70,8 @@ impl Failure {
         }
     }
 
-    /// What stands for it in a word that outlives a reset. Whatever else is there after power-up, it is hardly this.
+    /// Returns the value that marks the failure in a word that survives a reset. The word's random content after
+    /// power-up is very unlikely to be equal.
     const fn mark(self) -> u32 {
         match self {
             Self::Supply => 0x5d19_7e3a,
@@ -78,13 +79,13 @@ impl Failure {
         }
     }
 
-    /// What has stopped the motors before this start, if it was one of these. Forgets it.
+    /// Returns the failure that stopped the motors before this start, if any, and clears it.
     pub fn take() -> Option<Self> {
         let mark = FAILED.word().swap(0, Ordering::SeqCst);
         Self::ALL.into_iter().find(|failure| failure.mark() == mark)
     }
 
-    /// Notes it for the next start.
+    /// Stores the failure for the next start.
     pub fn note(self) {
         FAILED.word().store(self.mark(), Ordering::SeqCst);
     }
@@ -98,38 +99,39 @@ static FAILED: Mark = Mark(MaybeUninit::uninit());
 
 impl Mark {
     fn word(&self) -> &AtomicU32 {
-        // SAFETY: any bits are a number.
+        // SAFETY: every bit pattern is a valid number.
         unsafe { self.0.assume_init_ref() }
     }
 }
 
-/// Sets the voltage detector, and waits until it finds enough. If that takes longer than the watchdog's period, the
-/// chip begins anew.
+/// Enables the voltage detector, and waits until the supply is high enough. If that takes longer than the watchdog's
+/// period, the chip is reset and starts again.
 pub fn wait_for_supply(pwr: &PWR, rcc: &mut Rcc) {
     PWR::enable(rcc);
     pwr.cr().modify(|_, w| w.pls().set(DETECTOR_LEVEL).pvde().enabled());
     while supply_is_low(pwr) {}
 }
 
-/// Whether the supply is below the detector's level.
+/// Returns whether the supply is below the detector's level.
 pub fn supply_is_low(pwr: &PWR) -> bool {
     pwr.csr().read().pvdo().is_lower()
 }
 
-/// From now on a supply that falls below the detector's level raises the interrupt PVD, if that is let in.
+/// Enables the event of a supply that falls below the detector's level: it raises the interrupt PVD, once that is
+/// enabled.
 pub fn watch_supply(exti: &EXTI) {
-    // Its line rises when the supply falls.
+    // The detector's line rises when the supply falls.
     exti.rtsr().modify(|_, w| w.tr16().set_bit());
     exti.pr().write(|w| w.pr16().clear_bit_by_one());
     exti.imr().modify(|_, w| w.mr16().set_bit());
 }
 
-/// From now on a crystal that fails raises the non-maskable interrupt. It runs, and the chip with it.
+/// Enables the non-maskable interrupt for a crystal failure. The crystal must be running as the chip's clock.
 pub fn watch_crystal(rcc: &mut Rcc) {
     rcc.cr().modify(|_, w| w.csson().set_bit());
 }
 
-/// Whether nothing resets the chip between 2.66 V, where the detector stops the motors, and 1.7 V.
+/// Returns whether nothing resets the chip between 2.66 V, where the detector stops the motors, and 1.7 V.
 pub fn brown_out_reset_is_off(flash: &FLASH) -> bool {
     flash.optcr().read().bor_lev().bits() == BROWN_OUT_RESET_OFF
 }

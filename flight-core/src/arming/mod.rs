@@ -1,55 +1,55 @@
-//! Whether the motors may turn, and what happens when something fails.
+//! The arm state: whether the motors may turn, and how the flight controller reacts to failures.
 //!
 //! ```text
-//!                  ┌──────── an obstacle ────────┐
+//!                  ┌────── a check fails ────────┐
 //!                  ▼                             │
-//!  Maintenance ◄► Disarmed ── the pilot asks ──► Arming ── checked for 0.5 s ──► Armed ──► Descent
+//!  Maintenance ◄► Disarmed ── arm request ─────► Arming ── checked for 0.5 s ──► Armed ──► Descent
 //!                  ▲    ▲ ▼                                                      │  ▲        │ │
-//!                  │    Bench                         the pilot disarms ◄────────┘  └ link ──┘ │
-//!                  └── the pilot disarms ── Terminated ◄──── a fault, or the descent is over ──┘
+//!                  │    Bench                            disarm request ◄────────┘  └ link ──┘ │
+//!                  └─── disarm request ──── Terminated ◄──── a fault, or the descent is over ──┘
 //! ```
 //!
-//! [`table`] is the whole of it: a row for each way from state to state, by [`Conditions`] that are each a yes or
-//! no. [`Arming`] adds the clock of the present state and remembers that a request has been answered.
-//! `docs/safety.md` has the same table for people.
+//! [`table`] contains all transitions: one row for each way from a state to a state, decided by boolean
+//! [`Conditions`]. [`Arming`] adds the time in the present state and remembers that a request has been answered.
+//! `docs/safety.md` shows the same table.
 //!
-//! The motors depend on a [`MotorPermit`], which cannot be copied, stored to any use, or made outside this module;
-//! [`Arming`] hands one out per step in the states in which a motor may turn.
+//! The motors can be driven only with a [`MotorPermit`]. Code outside this module cannot construct or copy one, and a
+//! stored one has no use. [`Arming`] issues one permit per step in the states in which a motor may turn.
 
 pub mod table;
 
 use table::{Conditions, decide, rows};
 
-/// How long the conditions of arming are checked before the motors turn, µs.
+/// Time for which the arming conditions are checked before the motors turn, µs.
 const CHECK_US: u32 = 500_000;
 
-/// Whether the motors may turn.
+/// The arm state: whether the motors may turn.
 ///
-/// The numbers are codes in a [`StepRecord`](crate::record::StepRecord): a new state gets the next number, and none
-/// changes.
+/// The discriminants are codes in a [`StepRecord`](crate::record::StepRecord) and never change; a new state gets the
+/// next number.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 #[repr(u8)]
 pub enum ArmState {
-    /// They may not.
+    /// Motors stopped. The state at start.
     #[default]
     Disarmed = 0,
-    /// They may not yet: the pilot has asked, and everything is checked a little longer.
+    /// Motors stopped. The pilot has requested arming; all conditions are checked for another 0.5 s.
     Arming = 1,
-    /// They turn at idle or faster, as the pilot flies.
+    /// Motors turn at idle speed or faster, as the pilot commands.
     Armed = 2,
-    /// They turn: the flight controller keeps the vehicle level and lets it sink.
+    /// Motors turn. The flight controller holds the vehicle level and lets it sink.
     Descent = 3,
-    /// They were stopped by a fault, and may not turn until the pilot has taken note by disarming.
+    /// Motors stopped by a fault or at the end of a descent. The pilot must disarm before arming again.
     Terminated = 4,
-    /// One of them may turn, slowly, on the bench.
+    /// One motor may turn, at limited thrust, on a bench command.
     Bench = 5,
-    /// They may not: flash is about to be erased.
+    /// Motors stopped. Flash may be erased.
     Maintenance = 6,
 }
 
 impl ArmState {
-    /// All of them, in the order of their numbers.
+    /// All states, in the order of their codes.
     pub const ALL: [Self; 7] = [
         Self::Disarmed,
         Self::Arming,
@@ -60,7 +60,7 @@ impl ArmState {
         Self::Maintenance,
     ];
 
-    /// For people.
+    /// Returns the name of the state, as logs and `docs/safety.md` print it.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Disarmed => "Disarmed",
@@ -73,70 +73,70 @@ impl ArmState {
         }
     }
 
-    /// Whether the flight controller flies the vehicle.
+    /// Returns whether the flight controller controls the attitude: `Armed` or `Descent`.
     pub const fn flies(self) -> bool {
         matches!(self, Self::Armed | Self::Descent)
     }
 }
 
-/// Why a state was left, or a request refused.
+/// The reason for a state change or for a refused request.
 ///
-/// The numbers are codes in a [`StepRecord`](crate::record::StepRecord): a new cause gets the next number, and none
-/// changes.
+/// The discriminants are codes in a [`StepRecord`](crate::record::StepRecord) and never change; a new cause gets the
+/// next number.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 #[repr(u8)]
 pub enum Cause {
-    /// The pilot asked for it.
+    /// The pilot requested it.
     Pilot = 0,
-    /// Nothing stood against arming for as long as it is checked.
+    /// All arming conditions were met for the whole time of the check.
     Checked = 1,
-    /// The outputs are locked: USB is plugged in.
+    /// The outputs are locked because USB is plugged in.
     BenchLock = 2,
-    /// No link to the pilot.
+    /// The link to the pilot is lost.
     RcLost = 3,
     /// The link to the pilot is back.
     RcBack = 4,
     /// The throttle is not low.
     ThrottleUp = 5,
-    /// No valid inertial samples.
+    /// No valid inertial samples arrive.
     ImuLost = 6,
-    /// An axis of the inertial sensor does not move.
+    /// An axis of the inertial sensor reads a constant value.
     ImuStuck = 7,
     /// The sensors have not been calibrated.
     NoCalibration = 8,
-    /// The vehicle does not lie still.
+    /// The vehicle is not at rest.
     NotStill = 9,
-    /// The vehicle does not lie level.
+    /// The vehicle is not level.
     NotLevel = 10,
-    /// The battery is too low to start with, or not measured.
+    /// The battery voltage is too low to start a flight, or is not measured.
     BatteryLow = 11,
-    /// The battery is too low to fly on.
+    /// The battery voltage is too low to continue the flight.
     BatteryCritical = 12,
-    /// A task missed its deadline.
+    /// A task has missed its deadline.
     Overload = 13,
-    /// The descent has taken as long as it may.
+    /// The descent without a link has reached its time limit.
     DescentOver = 14,
     /// The watchdog has reset the board.
     WatchdogReset = 15,
-    /// The last fault has not been taken note of: disarm first.
+    /// The pilot has not acknowledged the last fault by disarming.
     NotAcknowledged = 16,
-    /// Somebody commands the bench.
+    /// A bench command is in force.
     BenchCommand = 17,
-    /// Nobody commands the bench any more.
+    /// Bench commands have stopped.
     BenchSilent = 18,
-    /// The bench has been commanded for as long as it may be.
+    /// Bench commands have reached their time limit.
     BenchExpired = 19,
     /// Flash is about to be erased.
     Maintenance = 20,
-    /// Flash is not erased any more.
+    /// The request to erase flash has ended.
     MaintenanceOver = 21,
-    /// The vehicle does not follow the sticks.
+    /// The vehicle is tilted beyond what the sticks can command ([`crate::tilt_limit`]).
     TiltLimit = 22,
 }
 
 impl Cause {
-    /// All of them, in the order of their numbers.
+    /// All causes, in the order of their codes.
     pub const ALL: [Self; 23] = [
         Self::Pilot,
         Self::Checked,
@@ -163,11 +163,11 @@ impl Cause {
         Self::TiltLimit,
     ];
 
-    /// For people, in a few words.
+    /// Returns a short description for logs and messages.
     pub const fn text(self) -> &'static str {
         match self {
             Self::Pilot => "by the pilot",
-            Self::Checked => "checked",
+            Self::Checked => "checks passed",
             Self::BenchLock => "outputs locked by USB",
             Self::RcLost => "receiver lost",
             Self::RcBack => "receiver back",
@@ -188,31 +188,31 @@ impl Cause {
             Self::BenchExpired => "bench time over",
             Self::Maintenance => "maintenance",
             Self::MaintenanceOver => "maintenance over",
-            Self::TiltLimit => "does not follow",
+            Self::TiltLimit => "tilt limit exceeded",
         }
     }
 }
 
-/// A change of state or, from a state to itself, a refusal.
+/// A change of the arm state or, if both states are the same, a refused request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct Event {
-    /// The state before.
+    /// State before the step.
     pub from: ArmState,
-    /// The state from now on.
+    /// State after the step.
     pub to: ArmState,
-    /// Why.
+    /// Reason.
     pub cause: Cause,
 }
 
 impl Event {
-    /// Whether this is a request that was turned down, rather than a change.
+    /// Returns whether this event is a refused request: no change of state, or back from `Arming` to `Disarmed`.
     pub fn is_refusal(&self) -> bool {
         self.from == self.to || (self.from == ArmState::Arming && self.to == ArmState::Disarmed)
     }
 }
 
-/// The key to the motors, for one step. The board's output function takes it by value.
+/// Permission to drive the motors for one step. The output function of the board takes it by value.
 #[derive(Debug)]
 #[must_use = "a permit that is not handed to the outputs leaves the motors at their last pulse"]
 pub struct MotorPermit(Allowed);
@@ -224,8 +224,9 @@ enum Allowed {
 }
 
 impl MotorPermit {
-    /// What of these pulses (µs, rotors 1 to 4) may go out: on the bench, that of one rotor, up to its limit, and
-    /// `stop_us` to the others. Uses the permit up.
+    /// Returns the pulses that may be sent, given the wanted ones (µs, rotors 1 to 4). In flight these are the wanted
+    /// pulses. On the bench one rotor gets its pulse, limited to the limit of the permit, and the others get
+    /// `stop_us` (µs). Consumes the permit.
     #[inline]
     pub fn apply(self, pulses_us: [f32; 4], stop_us: f32) -> [f32; 4] {
         match self.0 {
@@ -243,41 +244,50 @@ impl MotorPermit {
     }
 }
 
-/// The one motor that may turn on the bench.
+/// The motor that may turn on the bench.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BenchMotor {
     /// Index of the rotor, 0 to 3.
     pub rotor: usize,
-    /// The longest pulse it may get, µs.
+    /// Longest permitted pulse, µs.
     pub limit_us: f32,
 }
 
-/// The state, how long it has lasted, and whether the pilot's request has been answered.
+/// The arming state machine: the present state, the time spent in it, and whether the present request has been
+/// answered.
 #[derive(Clone, Copy, Debug)]
 pub struct Arming {
     state: ArmState,
     in_state_us: u32,
     descent_us: u32,
-    /// The pilot has not stopped asking since the last answer: what goes on is no new request. True at the start:
-    /// so is what began before it.
-    answered: bool,
-    /// What held in the last step, if no row of the state fitted.
-    undecided: Option<Conditions>,
+    /// Whether the present arm request has been answered. It counts as a new request only after the pilot has
+    /// released it. True at the start, so that a request that is already present then is ignored.
+    request_answered: bool,
+    /// Conditions of the last step, if no row of the state matched them.
+    unmatched: Option<Conditions>,
 }
 
 impl Arming {
-    /// Disarmed; a descent without a link takes `descent_us`, then the motors stop.
+    /// Creates the state machine in `Disarmed`. A descent without a link lasts `descent_us` (µs); then the motors
+    /// stop.
     pub fn new(descent_us: u32) -> Self {
-        Self { state: ArmState::Disarmed, in_state_us: 0, descent_us, answered: true, undecided: None }
+        Self {
+            state: ArmState::Disarmed,
+            in_state_us: 0,
+            descent_us,
+            request_answered: true,
+            unmatched: None,
+        }
     }
 
-    /// The present state.
+    /// Returns the present state.
     #[inline(always)]
     pub fn state(&self) -> ArmState {
         self.state
     }
 
-    /// A permit for this step, if a motor may turn. `bench` is the motor of the bench command in force, if any.
+    /// Returns a permit for this step if a motor may turn. `bench` returns the motor of the bench command in force;
+    /// it is called only in `Bench`.
     #[inline(always)]
     pub fn permit(&self, bench: impl FnOnce() -> Option<BenchMotor>) -> Option<MotorPermit> {
         match self.state {
@@ -289,7 +299,8 @@ impl Arming {
         }
     }
 
-    /// Decides for a step that comes `dt_us` after the last.
+    /// Updates the state for a step that comes `dt_us` (µs) after the last one. `now` holds the step's conditions
+    /// without `TIME_UP`, which this function adds. Returns the change of state or the refusal, if there is one.
     #[inline(always)]
     pub fn update(&mut self, mut now: Conditions, dt_us: u32) -> Option<Event> {
         self.in_state_us = self.in_state_us.saturating_add(dt_us);
@@ -302,21 +313,21 @@ impl Arming {
             now.insert(Conditions::TIME_UP);
         }
         if !now.contains(Conditions::ARM) {
-            self.answered = false;
-        } else if self.answered {
+            self.request_answered = false;
+        } else if self.request_answered {
             now.remove(Conditions::ARM);
         }
-        // The table has no memory: what decided nothing in the last step decides nothing in this one.
-        if self.undecided == Some(now) {
+        // The table is stateless: conditions that matched no row in the last step match none in this step.
+        if self.unmatched == Some(now) {
             return None;
         }
         let Some(row) = decide(rows(self.state), now) else {
-            self.undecided = Some(now);
+            self.unmatched = Some(now);
             return None;
         };
-        self.undecided = None;
+        self.unmatched = None;
         if row.when.contains(Conditions::ARM) {
-            self.answered = true;
+            self.request_answered = true;
         }
         let event = Event { from: self.state, to: row.to, cause: row.cause };
         if event.to != event.from {

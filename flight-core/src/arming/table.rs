@@ -1,59 +1,62 @@
-//! The arming table: which state follows from which, and why. Nothing else decides that.
+//! The arming table. It alone decides which state follows which, and for what cause.
 
 use bitflags::bitflags;
 
 use super::{ArmState, Cause};
 
 bitflags! {
-    /// What holds in a step, each a yes or no.
+    /// The conditions of a step, one bit each.
     #[derive(Clone, Copy, Debug, PartialEq, Eq)]
     pub struct Conditions: u32 {
-        /// The pilot asks for the motors: the arm gesture held for 1 s, or the arm switch. Set until the asking is
-        /// answered; then the pilot must let go before asking again.
+        /// The pilot requests arming: the arm gesture held for 1 s, or the arm switch. The request counts once; the
+        /// pilot must release it before the next request.
         const ARM = 1 << 0;
-        /// The pilot asks for the motors to stop: the disarm gesture held for 0.5 s, or the arm switch off for 0.1 s.
+        /// The pilot requests disarming: the disarm gesture held for 0.5 s, or the arm switch off for 0.1 s.
         const DISARM = 1 << 1;
-        /// No frame from the receiver for 0.5 s, or the receiver itself says that its link is lost, or it has
-        /// not been back for 0.5 s yet.
+        /// No frame has come from the receiver for 0.5 s, or the receiver reports a lost link, or frames have arrived
+        /// again for less than 0.5 s.
         const RC_LOST = 1 << 2;
-        /// The last throttle of the pilot was 5 % or more.
+        /// The last throttle position was 5 % or more.
         const THROTTLE_UP = 1 << 3;
-        /// No valid inertial sample for 0.1 s: none at all, or the sensor's code for "invalid".
+        /// No valid inertial sample for 0.1 s: no sample at all, or only samples with the code of the sensor for
+        /// "invalid".
         const IMU_LOST = 1 << 4;
-        /// An axis of the inertial sensor has read the same for 0.1 s, without being at the end of its range.
+        /// An axis of the inertial sensor has read the same value for 0.1 s, and the value is not at the end of the
+        /// sensor's range.
         const IMU_STUCK = 1 << 5;
-        /// The vehicle has not lain still for 1 s, so that the gyroscope is not zeroed.
+        /// The vehicle has not been at rest for 1 s, so that the gyroscope is not zeroed.
         const NOT_STILL = 1 << 6;
-        /// More than 25° from level.
+        /// The vehicle is tilted by more than 25°.
         const NOT_LEVEL = 1 << 7;
         /// The sensors of this vehicle have not been calibrated.
         const NO_CALIBRATION = 1 << 8;
-        /// The battery is below the voltage at which a flight may start, or has not been measured for 2 s.
+        /// The battery voltage is below the minimum for starting a flight, or has not been measured for 2 s.
         const BATTERY_LOW = 1 << 9;
-        /// The battery has been below the voltage at which a flight must end for 3 s; once set, until disarmed.
+        /// The battery voltage has been below the minimum for continuing a flight for 3 s. Stays set until the flight
+        /// is over.
         const BATTERY_CRITICAL = 1 << 10;
         /// A task of the board has missed its deadline in the last second.
         const OVERLOAD = 1 << 11;
-        /// USB is plugged in: people are about.
+        /// USB is plugged in, so people may be near the rotors.
         const BENCH_LOCK = 1 << 12;
-        /// A bench command is in force: its last heartbeat is no older than 0.25 s.
+        /// A bench command is in force: the last one is no older than 0.25 s.
         const BENCH_COMMAND = 1 << 13;
-        /// Bench commands have gone on for longer than one may.
+        /// Bench commands have continued for longer than their time limit.
         const BENCH_EXPIRED = 1 << 14;
-        /// Somebody wants to erase flash, which stops the processor for up to half a second.
+        /// A request to erase flash is present. Erasing stops the processor for up to half a second.
         const MAINTENANCE = 1 << 15;
         /// The watchdog has reset the board. Set in the first step only.
         const WATCHDOG_RESET = 1 << 16;
-        /// The present state has lasted as long as it may: `Arming` 0.5 s, `Descent` as configured.
+        /// The present state has reached its time limit: 0.5 s for `Arming`, the configured time for `Descent`.
         const TIME_UP = 1 << 17;
-        /// In angle mode the vehicle has been tilted by 20° more than the sticks can ask for, for half a second: a
-        /// rotor is gone, or it lies on its back.
+        /// In angle mode the vehicle has been tilted by 20° more than the sticks can command for half a second: a
+        /// rotor has failed, or the vehicle lies on its back.
         const TILT_LIMIT = 1 << 18;
     }
 }
 
 impl Conditions {
-    /// Those that stand in the rows of [`ArmState::Armed`] and [`ArmState::Descent`].
+    /// The conditions that appear in the rows of [`ArmState::Armed`] and [`ArmState::Descent`].
     pub const IN_FLIGHT: Self = Self::DISARM
         .union(Self::RC_LOST)
         .union(Self::THROTTLE_UP)
@@ -64,34 +67,35 @@ impl Conditions {
         .union(Self::TIME_UP)
         .union(Self::TILT_LIMIT);
 
-    /// Those that hold.
+    /// Returns the set of the conditions in `list` that hold.
     #[inline(always)]
     pub(crate) fn of<const N: usize>(list: [(Self, bool); N]) -> Self {
-        // Without a branch: the condition times one or zero.
+        // Without a branch: each bit is multiplied by one or zero.
         let bits =
             list.into_iter().fold(0, |all, (condition, holds)| all | (condition.bits() * u32::from(holds)));
         Self::from_bits_retain(bits)
     }
 }
 
-/// A row: in state `from`, if all of `when` hold and none of `unless`, go to `to`.
+/// A row of the table: in state `from`, if all conditions of `when` and none of `unless` hold, the next state is
+/// `to`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Row {
-    /// The state that the row is for.
+    /// State in which the row applies.
     pub from: ArmState,
-    /// All of these hold.
+    /// Conditions that must all hold.
     pub when: Conditions,
-    /// None of these holds.
+    /// Conditions of which none may hold.
     pub unless: Conditions,
-    /// The state that follows. The same one: a request is refused.
+    /// Next state. The same as `from` if the row refuses a request.
     pub to: ArmState,
-    /// The reason that a person is told.
+    /// Reason that is reported.
     pub cause: Cause,
 }
 
 impl Row {
-    fn fits(&self, now: Conditions) -> bool {
-        // No condition stands in both, so one comparison says it for all.
+    fn matches(&self, now: Conditions) -> bool {
+        // `when` and `unless` are disjoint, so one comparison covers both.
         now.intersection(self.when.union(self.unless)) == self.when
     }
 }
@@ -100,12 +104,12 @@ const fn row(from: ArmState, when: Conditions, to: ArmState, cause: Cause) -> Ro
     Row { from, when, unless: Conditions::empty(), to, cause }
 }
 
-/// A request for the motors that finds `obstacle` is refused.
+/// A row that refuses an arm request because of `obstacle`.
 const fn refuse(obstacle: Conditions, cause: Cause) -> Row {
     row(ArmState::Disarmed, Conditions::ARM.union(obstacle), ArmState::Disarmed, cause)
 }
 
-/// An obstacle that comes up before the motors turn takes the arming back.
+/// A row that returns from `Arming` to `Disarmed` because `obstacle` has appeared.
 const fn recheck(obstacle: Conditions, cause: Cause) -> Row {
     row(ArmState::Arming, obstacle, ArmState::Disarmed, cause)
 }
@@ -118,7 +122,8 @@ impl Row {
 
 use ArmState::{Armed, Arming, Bench, Descent, Disarmed, Maintenance, Terminated};
 
-/// The rows of [`ArmState::Disarmed`], the first that fits decides; none: nothing changes. Likewise below.
+/// The rows of [`ArmState::Disarmed`]. Here and below, the first row that matches decides; without a match the state
+/// stays.
 pub const DISARMED: [Row; 15] = [
     row(Disarmed, Conditions::WATCHDOG_RESET, Terminated, Cause::WatchdogReset),
     row(Disarmed, Conditions::MAINTENANCE, Maintenance, Cause::Maintenance),
@@ -163,7 +168,7 @@ pub const ARMED: [Row; 8] = [
     row(Armed, Conditions::IMU_STUCK, Terminated, Cause::ImuStuck),
     row(Armed, Conditions::TILT_LIMIT, Terminated, Cause::TiltLimit),
     row(Armed, Conditions::DISARM, Disarmed, Cause::Pilot).unless(Conditions::RC_LOST),
-    // Throttle low: on the ground, or as good as there. Nothing may spin up.
+    // With the throttle low the vehicle is on the ground or just above it: no rotor may spin up.
     row(Armed, Conditions::RC_LOST, Terminated, Cause::RcLost).unless(Conditions::THROTTLE_UP),
     row(Armed, Conditions::RC_LOST, Descent, Cause::RcLost),
     row(Armed, Conditions::BATTERY_CRITICAL, Descent, Cause::BatteryCritical),
@@ -176,7 +181,7 @@ pub const DESCENT: [Row; 7] = [
     row(Descent, Conditions::IMU_STUCK, Terminated, Cause::ImuStuck),
     row(Descent, Conditions::TILT_LIMIT, Terminated, Cause::TiltLimit),
     row(Descent, Conditions::DISARM, Disarmed, Cause::Pilot).unless(Conditions::RC_LOST),
-    // With a pilot on the link, who can land and disarm, there is no limit.
+    // A descent with a link has no time limit: the pilot can land and disarm.
     row(Descent, Conditions::RC_LOST.union(Conditions::TIME_UP), Terminated, Cause::DescentOver),
     row(Descent, Conditions::empty(), Armed, Cause::RcBack)
         .unless(Conditions::RC_LOST.union(Conditions::BATTERY_CRITICAL)),
@@ -203,7 +208,7 @@ pub const MAINTENANCE: [Row; 2] = [
     row(Maintenance, Conditions::ARM, Maintenance, Cause::Maintenance),
 ];
 
-/// The rows of a state, in order.
+/// Returns the rows of a state, in order of precedence.
 pub const fn rows(state: ArmState) -> &'static [Row] {
     match state {
         Disarmed => &DISARMED,
@@ -216,7 +221,7 @@ pub const fn rows(state: ArmState) -> &'static [Row] {
     }
 }
 
-/// The row of `rows` that decides under these conditions, if any does.
+/// Returns the first row of `rows` that matches the conditions `now`.
 pub fn decide(rows: &[Row], now: Conditions) -> Option<&Row> {
-    rows.iter().find(|row| row.fits(now))
+    rows.iter().find(|row| row.matches(now))
 }

@@ -8,7 +8,7 @@ use super::{ArmState, Arming, BenchMotor, Cause, Event};
 use ArmState::*;
 use Conditions as C;
 
-/// What stands against arming, in the order in which it is told.
+/// Conditions that prevent arming, in the order in which they are reported.
 const OBSTACLES: [(C, Cause); 11] = [
     (C::BENCH_LOCK, Cause::BenchLock),
     (C::BENCH_COMMAND, Cause::BenchCommand),
@@ -23,8 +23,8 @@ const OBSTACLES: [(C, Cause); 11] = [
     (C::OVERLOAD, Cause::Overload),
 ];
 
-/// What should happen, written down a second time and in another way: as a person would say it.
-fn promised(state: ArmState, now: C) -> Option<(ArmState, Cause)> {
+/// The specified transition of a state, written a second time, as nested decisions instead of a table.
+fn specified(state: ArmState, now: C) -> Option<(ArmState, Cause)> {
     let is = |condition: C| now.contains(condition);
     let obstacle = || OBSTACLES.iter().find(|(condition, _)| is(*condition)).map(|&(_, cause)| cause);
     let fault = || {
@@ -36,7 +36,7 @@ fn promised(state: ArmState, now: C) -> Option<(ArmState, Cause)> {
         ];
         faults.into_iter().find(|(condition, _)| is(*condition)).map(|(_, cause)| (Terminated, cause))
     };
-    let heard = |request| is(request) && !is(C::RC_LOST);
+    let received = |request| is(request) && !is(C::RC_LOST);
     match state {
         Disarmed => {
             if is(C::WATCHDOG_RESET) {
@@ -89,7 +89,7 @@ fn promised(state: ArmState, now: C) -> Option<(ArmState, Cause)> {
             (!is(C::BATTERY_CRITICAL)).then_some((Armed, Cause::RcBack))
         }
         Terminated => {
-            if heard(C::DISARM) {
+            if received(C::DISARM) {
                 return Some((Disarmed, Cause::Pilot));
             }
             is(C::ARM).then_some((Terminated, Cause::NotAcknowledged))
@@ -123,58 +123,58 @@ fn every_combination() -> impl Iterator<Item = C> {
     (0..=C::all().bits()).map(C::from_bits_retain)
 }
 
-fn followed(rows: &[Row], now: C) -> Option<(ArmState, Cause)> {
+fn decided(rows: &[Row], now: C) -> Option<(ArmState, Cause)> {
     decide(rows, now).map(|row| (row.to, row.cause))
 }
 
 #[test]
 #[cfg_attr(miri, ignore = "2^19 combinations of each state")]
-fn every_state_under_every_combination_of_conditions_does_what_is_promised() {
+fn every_state_and_condition_set_is_as_specified() {
     assert_eq!(C::all().bits(), (1 << 19) - 1);
     for state in ArmState::ALL {
         for now in every_combination() {
-            assert_eq!(followed(rows(state), now), promised(state, now), "{state:?} {now:?}");
+            assert_eq!(decided(rows(state), now), specified(state, now), "{state:?} {now:?}");
         }
     }
 }
 
 #[test]
 #[cfg_attr(miri, ignore = "2^19 combinations of each state")]
-fn no_row_can_be_left_out() {
+fn every_row_is_needed() {
     for state in ArmState::ALL {
         for index in 0..rows(state).len() {
             let mut without = rows(state).to_vec();
             let row = without.remove(index);
-            let noticed = every_combination().any(|now| followed(&without, now) != promised(state, now));
-            assert!(noticed, "nobody misses {row:?}");
+            let detected = every_combination().any(|now| decided(&without, now) != specified(state, now));
+            assert!(detected, "not needed: {row:?}");
         }
     }
 }
 
 #[test]
-fn in_flight_nothing_else_is_looked_at() {
+fn rows_in_flight_use_only_conditions_in_flight() {
     for row in rows(Armed).iter().chain(rows(Descent)) {
         assert!(C::IN_FLIGHT.contains(row.when | row.unless), "{row:?}");
     }
 }
 
 #[test]
-fn every_row_stands_with_its_state_and_asks_for_no_condition_that_it_excludes() {
+fn rows_have_their_state_and_no_contradiction() {
     for state in ArmState::ALL {
         assert!(rows(state).iter().all(|row| row.from == state && !row.when.intersects(row.unless)));
     }
 }
 
-/// Properties that hold whatever the rows say, so that a mistake made in both versions above is found.
+/// Properties that do not depend on the rows, to find a mistake that is in both versions above.
 #[test]
 #[cfg_attr(miri, ignore = "2^19 combinations of each state")]
-fn what_must_never_happen_does_not() {
+fn safety_properties_hold_in_every_state() {
     for state in ArmState::ALL {
         for now in every_combination() {
-            let to = followed(rows(state), now).map_or(state, |(to, _)| to);
+            let to = decided(rows(state), now).map_or(state, |(to, _)| to);
             let turning = |s: ArmState| s.flies() || s == Bench;
             if turning(to) && !turning(state) {
-                // From rest the motors start by a checked arming or a bench command, and by nothing else.
+                // Stopped motors start only by a checked arming or a bench command.
                 match to {
                     Armed => {
                         assert_eq!(state, Arming);
@@ -186,13 +186,13 @@ fn what_must_never_happen_does_not() {
             }
             if to.flies() {
                 assert!(!now.intersects(C::BENCH_LOCK | C::IMU_LOST | C::IMU_STUCK), "{state:?} {now:?}");
-                // Who does not fly yet cannot have failed to follow.
+                // The tilt limit applies only in flight.
                 assert!(!(state.flies() && now.contains(C::TILT_LIMIT)), "{state:?} {now:?}");
             }
             if to == Maintenance {
                 assert!(!turning(state) && state != Arming);
             }
-            // The pilot, if heard, can always stop the motors.
+            // With a link, the pilot can always stop the motors.
             if now.contains(C::DISARM) && !now.contains(C::RC_LOST) {
                 assert!(!turning(to), "{state:?} {now:?}");
             }
@@ -200,7 +200,7 @@ fn what_must_never_happen_does_not() {
     }
 }
 
-/// Drives an [`Arming`] for milliseconds.
+/// Updates an [`Arming`] once per millisecond for `ms` milliseconds, and returns its events.
 fn run(arming: &mut Arming, now: C, ms: u32) -> Vec<Event> {
     (0..ms).filter_map(|_| arming.update(now, 1_000)).collect()
 }
@@ -221,39 +221,39 @@ fn armed() -> Arming {
 
 #[test]
 #[cfg_attr(miri, ignore = "6,000 steps")]
-fn a_refusal_is_said_once_and_the_pilot_must_let_go_before_the_next_try() {
+fn refusal_is_reported_once_until_released() {
     let mut arming = super::Arming::new(1);
     run(&mut arming, C::empty(), 1);
     assert_eq!(run(&mut arming, C::ARM | C::NOT_LEVEL, 3_000), [event(Disarmed, Disarmed, Cause::NotLevel)]);
-    assert!(run(&mut arming, C::ARM, 3_000).is_empty(), "level by now, but the request is old");
+    assert!(run(&mut arming, C::ARM, 3_000).is_empty(), "level now, but the request is old");
     run(&mut arming, C::empty(), 1);
     assert_eq!(run(&mut arming, C::ARM, 1), [event(Disarmed, Arming, Cause::Pilot)]);
 }
 
 #[test]
 #[cfg_attr(miri, ignore = "10,000 steps")]
-fn what_is_asked_from_the_start_is_no_request() {
+fn request_present_from_the_start_is_ignored() {
     let mut arming = super::Arming::new(1);
     assert!(run(&mut arming, C::ARM, 10_000).is_empty());
 }
 
 #[test]
 #[cfg_attr(miri, ignore = "1,400 steps of each obstacle")]
-fn an_obstacle_that_comes_up_while_arming_takes_it_back() {
+fn condition_that_appears_while_arming_disarms() {
     for (obstacle, cause) in OBSTACLES {
         let mut arming = super::Arming::new(1);
         run(&mut arming, C::empty(), 1);
         run(&mut arming, C::ARM, 400);
-        let told = run(&mut arming, C::ARM | obstacle, 1_000);
-        assert_eq!(told[0], event(Arming, Disarmed, cause));
-        assert!(told[1..].iter().all(|event| event.to == Bench), "{told:?}");
-        assert!(told[0].is_refusal());
+        let events = run(&mut arming, C::ARM | obstacle, 1_000);
+        assert_eq!(events[0], event(Arming, Disarmed, cause));
+        assert!(events[1..].iter().all(|event| event.to == Bench), "{events:?}");
+        assert!(events[0].is_refusal());
     }
 }
 
 #[test]
 #[cfg_attr(miri, ignore = "8,000 steps")]
-fn a_descent_without_a_link_ends_after_its_time_and_with_one_in_the_pilots_hands() {
+fn descent_ends_after_its_time_or_with_the_link() {
     let lost = C::RC_LOST | C::THROTTLE_UP;
     let mut arming = armed();
     assert_eq!(run(&mut arming, lost, 5_000), [event(Armed, Descent, Cause::RcLost)]);
@@ -269,7 +269,7 @@ fn a_descent_without_a_link_ends_after_its_time_and_with_one_in_the_pilots_hands
 }
 
 #[test]
-fn the_permit_of_the_bench_turns_one_motor_up_to_its_limit() {
+fn bench_permit_turns_one_motor_up_to_its_limit() {
     let mut arming = super::Arming::new(1);
     run(&mut arming, C::BENCH_COMMAND, 1);
     assert_eq!(arming.state(), Bench);
@@ -279,30 +279,30 @@ fn the_permit_of_the_bench_turns_one_motor_up_to_its_limit() {
     let permit = arming.permit(|| Some(motor)).unwrap();
     assert_eq!(permit.apply([1_200.0; 4], 1_000.0), [1_000.0, 1_000.0, 1_200.0, 1_000.0]);
     assert!(arming.permit(|| None).is_none());
-    // In flight the bench's motor means nothing.
+    // In flight the motor of a bench command has no effect.
     let permit = armed().permit(|| Some(motor)).unwrap();
     assert_eq!(permit.apply([1_900.0; 4], 1_000.0), [1_900.0; 4]);
 }
 
-/// Conditions that come and go, few of them at a time.
-fn moments() -> impl Strategy<Value = Vec<(C, u32, usize)>> {
+/// Sequences of conditions, few of them at a time, with step times and repetitions.
+fn sequence() -> impl Strategy<Value = Vec<(C, u32, usize)>> {
     let few = || (any::<u32>(), any::<u32>(), any::<u32>()).prop_map(|(a, b, c)| a & b & c);
-    let asking = prop_oneof![2 => Just(C::ARM), 1 => Just(C::empty()), 1 => Just(C::DISARM)];
+    let request = prop_oneof![2 => Just(C::ARM), 1 => Just(C::empty()), 1 => Just(C::DISARM)];
     let bits = prop_oneof![few(), Just(0), Just(C::RC_LOST.union(C::THROTTLE_UP).bits())];
-    let now = (bits, asking)
-        .prop_map(|(bits, asking)| (C::from_bits_truncate(bits) | asking).difference(C::TIME_UP));
+    let now = (bits, request)
+        .prop_map(|(bits, request)| (C::from_bits_truncate(bits) | request).difference(C::TIME_UP));
     let dt_us = prop_oneof![4 => 0..200_000_u32, 2 => Just(250_000), 1 => Just(500_000), 1 => Just(u32::MAX)];
     prop::collection::vec((now, dt_us, 1..4_usize), 1..40)
 }
 
 proptest! {
-    /// The table, with the clock of the present state and a request that is answered once: told a second time, and
-    /// without looking at what was the same in the last step.
+    /// The table with the time in the present state and with requests that are answered once, computed a second time
+    /// and without the shortcut for unchanged conditions.
     #[test]
-    fn whatever_comes_and_goes_is_decided_as_promised(moments in moments()) {
+    fn any_sequence_is_decided_as_specified(sequence in sequence()) {
         let mut arming = super::Arming::new(1_000_000);
         let (mut state, mut in_state_us, mut answered) = (Disarmed, 0_u64, true);
-        for (shown, dt_us, times) in moments {
+        for (shown, dt_us, times) in sequence {
             for _ in 0..times {
                 in_state_us += u64::from(dt_us);
                 let over = matches!(state, Arming if in_state_us >= 500_000)
@@ -311,10 +311,10 @@ proptest! {
                 let mut now = shown;
                 now.set(C::TIME_UP, over);
                 now.set(C::ARM, shown.contains(C::ARM) && !answered);
-                let expected = promised(state, now).map(|(to, cause)| event(state, to, cause));
+                let expected = specified(state, now).map(|(to, cause)| event(state, to, cause));
                 prop_assert_eq!(arming.update(shown, dt_us), expected, "{:?} in {:?}", shown, state);
                 if let Some(Event { from, to, cause }) = expected {
-                    // Who asks is answered by the motors, or by a refusal.
+                    // A request is answered by starting or by a refusal.
                     answered |= match from {
                         Disarmed => matches!(to, Arming | Disarmed),
                         Bench => cause == Cause::BenchCommand,
@@ -333,10 +333,10 @@ proptest! {
         }
     }
 
-    /// Whatever the pulses are: on the bench no motor but one gets more than the stop, and that one no more than its
-    /// limit, which is also what it gets for a pulse that is not a number.
+    /// For any pulses: on the bench every motor except one gets the stop pulse. That motor gets at most its limit,
+    /// also for a NaN pulse.
     #[test]
-    fn any_pulses_through_the_permit_of_the_bench(
+    fn any_pulses_are_limited_by_the_bench_permit(
         pulses_us in prop::array::uniform4(ANY), rotor in 0..6_usize, limit_us in 1_000.0..2_000.0_f32,
     ) {
         let mut arming = super::Arming::new(1);
@@ -350,7 +350,7 @@ proptest! {
 }
 
 #[test]
-fn a_refusal_is_what_leaves_the_motors_stopped_although_the_pilot_asked() {
+fn refusal_is_no_change_or_arming_to_disarmed() {
     let all = || ArmState::ALL.into_iter();
     for (from, to) in all().flat_map(|from| all().map(move |to| (from, to))) {
         let refused = from == to || (from, to) == (Arming, Disarmed);
@@ -358,25 +358,25 @@ fn a_refusal_is_what_leaves_the_motors_stopped_although_the_pilot_asked() {
     }
 }
 
-/// What people are told: each state by its own name, each cause in words of its own.
+/// Texts for display: each state has its own name, each cause its own text.
 #[test]
-fn states_and_causes_can_be_told_apart() {
+fn states_and_causes_have_distinct_texts() {
     assert!(ArmState::ALL.iter().all(|state| state.name() == std::format!("{state:?}")));
-    let mut told: Vec<(&str, Cause)> = Vec::new();
+    let mut texts: Vec<(&str, Cause)> = Vec::new();
     for row in ArmState::ALL.into_iter().flat_map(rows) {
         let text = row.cause.text();
         assert!(
-            text.len() > 4 && told.iter().all(|(known, cause)| (*known == text) == (*cause == row.cause))
+            text.len() > 4 && texts.iter().all(|(known, cause)| (*known == text) == (*cause == row.cause))
         );
-        told.push((text, row.cause));
+        texts.push((text, row.cause));
     }
     let causes =
-        told.iter().enumerate().filter(|(n, (text, _))| told[..*n].iter().all(|(known, _)| known != text));
+        texts.iter().enumerate().filter(|(n, (text, _))| texts[..*n].iter().all(|(known, _)| known != text));
     assert_eq!(causes.count(), 23);
 }
 
 #[test]
-fn conditions_are_those_that_hold_named_once_or_twice() {
+fn condition_set_is_the_union_of_those_that_hold() {
     for bits in 0..16_u32 {
         let [a, b, c, d] = [0, 1, 2, 3].map(|n| bits >> n & 1 == 1);
         let held = C::of([(C::ARM, a), (C::TILT_LIMIT, b), (C::RC_LOST, c), (C::ARM, d)]);

@@ -1,4 +1,4 @@
-//! The cascade: its signs and limits case by case, and all of it against a second one.
+//! Tests of the controller: signs and limits in single cases, and the whole against a second implementation.
 
 use super::*;
 use crate::geometry::Quaternion;
@@ -30,7 +30,7 @@ fn torque_has_the_sign_of_the_stick() {
 
 #[test]
 fn torque_opposes_tilt_heading_and_rate() {
-    // Rolled 0.1 rad to the right: down leans to +y.
+    // Rolled 0.1 rad to the right: down points to +y.
     let torque = controller(CENTRED).step(vec3(0.0, 0.0998, 0.995), 0.0, Vec3::ZERO, FREE, 1e-3);
     assert!(torque.x < 0.0 && torque.y == 0.0);
     let torque = controller(CENTRED).step(Vec3::Z, 0.1, Vec3::ZERO, FREE, 1e-3);
@@ -40,30 +40,30 @@ fn torque_opposes_tilt_heading_and_rate() {
 }
 
 #[test]
-fn in_rate_mode_centred_sticks_hold_any_attitude_and_deflected_ones_ask_for_their_rate() {
+fn rate_mode_commands_the_rate_of_the_sticks() {
     let mut c = controller(CENTRED);
     c.set_sticks(&CENTRED, FlightMode::Rate);
     assert_eq!(c.step(vec3(0.0, 0.6, 0.8), 2.0, Vec3::ZERO, FREE, 1e-3), Vec3::ZERO);
     c.set_sticks(&Sticks { roll: 0.5, pitch: -0.25, yaw: 1.0, ..CENTRED }, FlightMode::Rate);
     let p = ControlParams::OS4;
-    let asked = vec3(0.5 * p.max_stick_rate_rad_s, 0.25 * p.max_stick_rate_rad_s, p.max_yaw_rate_rad_s);
-    c.rest(asked, 0.0);
-    assert_eq!(c.step(vec3(0.0, 0.6, 0.8), 2.0, asked, FREE, 1e-3), Vec3::ZERO);
-    // Level again at the heading of that moment.
+    let commanded = vec3(0.5 * p.max_stick_rate_rad_s, 0.25 * p.max_stick_rate_rad_s, p.max_yaw_rate_rad_s);
+    c.reset(commanded, 0.0);
+    assert_eq!(c.step(vec3(0.0, 0.6, 0.8), 2.0, commanded, FREE, 1e-3), Vec3::ZERO);
+    // Back in angle mode: level at the present heading.
     c.set_sticks(&CENTRED, FlightMode::Angle);
-    c.rest(Vec3::ZERO, 2.0);
+    c.reset(Vec3::ZERO, 2.0);
     assert_eq!(c.step(Vec3::Z, 2.0, Vec3::ZERO, FREE, 1e-3), Vec3::ZERO);
 }
 
 #[test]
-fn upside_down_it_turns_over() {
+fn upside_down_gives_a_roll_torque() {
     let torque = controller(CENTRED).step(vec3(0.0, 0.0, -1.0), 0.0, Vec3::ZERO, FREE, 1e-3);
     assert!(torque.x.abs() > 0.1 && torque.x.is_finite());
 }
 
 #[test]
 #[cfg_attr(miri, ignore = "120,000 steps")]
-fn integrator_holds_while_the_mixer_is_full_and_is_bounded() {
+fn integrator_freezes_in_saturation_and_is_bounded() {
     let tilted = vec3(0.0, 0.5, 0.866_025_4);
     let full = Saturation { roll_pitch: true, yaw: true };
     let mut c = controller(CENTRED);
@@ -78,7 +78,7 @@ fn integrator_holds_while_the_mixer_is_full_and_is_bounded() {
 }
 
 #[test]
-fn a_gesture_is_no_command_to_turn() {
+fn gesture_does_not_turn_the_vehicle() {
     let mut c = controller(CENTRED);
     c.step(Vec3::Z, 0.0, Vec3::ZERO, FREE, 1e-3);
     c.set_sticks(&Sticks { throttle: 0.0, yaw: -1.0, ..CENTRED }, FlightMode::Angle);
@@ -88,19 +88,21 @@ fn a_gesture_is_no_command_to_turn() {
 }
 
 #[test]
-fn on_the_ground_nothing_winds_up() {
+fn nothing_winds_up_before_take_off() {
     let mut c = controller(Sticks { throttle: 0.05, ..CENTRED });
     for _ in 0..1000 {
         assert_eq!(c.step(vec3(0.0, 0.1, 0.995), 0.3, vec3(0.1, 0.1, 0.1), FREE, 1e-3), Vec3::ZERO);
     }
-    // Once it has flown, low throttle does not take control away.
+    // After take-off a low throttle does not switch the controller off.
     c.set_sticks(&CENTRED, FlightMode::Angle);
     c.step(Vec3::Z, 0.3, Vec3::ZERO, FREE, 1e-3);
     c.set_sticks(&Sticks { throttle: 0.0, ..CENTRED }, FlightMode::Angle);
     assert!(c.step(vec3(0.0, 0.1, 0.995), 0.3, Vec3::ZERO, FREE, 1e-3).x < 0.0);
 }
-/// The cascade in f64, from the text of [`ControlParams`] and not from the code: the tilt error as the angle
-/// between the two directions, the setpoint by a quaternion, every axis by itself.
+
+/// The controller in f64, written from the documentation of [`ControlParams`] and not from the code: the tilt error
+/// is the angle between the two directions, the setpoint comes from a quaternion, and each axis is computed
+/// separately.
 struct InDouble {
     params: ControlParams,
     inertia: [f64; 3],
@@ -110,16 +112,16 @@ struct InDouble {
     flying: bool,
 }
 
-/// What goes into a step.
+/// The input of a step.
 #[derive(Clone, Copy, Debug)]
-struct Moment {
+struct StepInput {
     sticks: Sticks,
     mode: FlightMode,
     /// Roll and pitch of the vehicle, rad.
     tilt: (f64, f64),
     heading: f32,
     rates: Vec3<f32>,
-    cut: Saturation,
+    saturation: Saturation,
     dt_s: f32,
 }
 
@@ -127,7 +129,7 @@ fn double(v: Vec3<f32>) -> [f64; 3] {
     <[f32; 3]>::from(v).map(f64::from)
 }
 
-/// Down in body axes at a roll and a pitch.
+/// Returns the direction of down in body axes at a roll and a pitch (rad).
 fn down_at(roll: f64, pitch: f64) -> Vec3<f64> {
     let half = |angle: f64| (0.5 * angle).sin_cos();
     Quaternion::from_half_angles(half(roll), half(pitch), (0.0, 1.0)).conjugate().rotate(Vec3::Z)
@@ -138,9 +140,9 @@ fn remainder(x: f64) -> f64 {
 }
 
 impl InDouble {
-    /// Torques, and the sum of the magnitudes of what they are made of: rounding goes with that. `None` where a
-    /// rounding decides which way to turn.
-    fn step(&mut self, now: &Moment) -> Option<([f64; 3], [f64; 3])> {
+    /// Returns the torques, and the sum of the magnitudes of their terms, to which the rounding error is
+    /// proportional. `None` where rounding decides the direction of the rotation.
+    fn step(&mut self, now: &StepInput) -> Option<([f64; 3], [f64; 3])> {
         let p = &self.params;
         let rates = double(now.rates);
         let heading = f64::from(now.heading);
@@ -151,18 +153,19 @@ impl InDouble {
         self.flying = true;
 
         let gesture = now.sticks.throttle < 0.05 && now.sticks.yaw.abs() > 0.9;
-        let turns = now.sticks.yaw.abs() > YAW_DEADBAND && !gesture;
-        let yaw_stick = if turns { f64::from(now.sticks.yaw) * f64::from(p.max_yaw_rate_rad_s) } else { 0.0 };
+        let yaw_commanded = now.sticks.yaw.abs() > YAW_DEADBAND && !gesture;
+        let yaw_stick =
+            if yaw_commanded { f64::from(now.sticks.yaw) * f64::from(p.max_yaw_rate_rad_s) } else { 0.0 };
         let (roll, pitch) = (f64::from(now.sticks.roll), -f64::from(now.sticks.pitch));
         let wanted_rates = match now.mode {
             FlightMode::Rate => {
                 self.heading_target = heading;
-                let most = f64::from(p.max_stick_rate_rad_s);
-                [roll * most, pitch * most, yaw_stick]
+                let max = f64::from(p.max_stick_rate_rad_s);
+                [roll * max, pitch * max, yaw_stick]
             }
             FlightMode::Angle => {
-                let most = f64::from(p.max_tilt_rad);
-                let (wanted, down) = (down_at(roll * most, pitch * most), down_at(now.tilt.0, now.tilt.1));
+                let max = f64::from(p.max_tilt_rad);
+                let (wanted, down) = (down_at(roll * max, pitch * max), down_at(now.tilt.0, now.tilt.1));
                 let angle = wanted.cross(down).norm().atan2(wanted.dot(down));
                 let off = wanted.dot(down) + 1.0;
                 if (0.9e-3..1.1e-3).contains(&off) {
@@ -176,7 +179,7 @@ impl InDouble {
                     (Vec3::ZERO, 0.0)
                 };
                 let tilt_rate = (f64::from(p.tilt_p) * error).min(f64::from(p.max_tilt_rate_rad_s));
-                let yaw_rate = if turns {
+                let yaw_rate = if yaw_commanded {
                     self.heading_target = heading;
                     yaw_stick
                 } else {
@@ -184,8 +187,8 @@ impl InDouble {
                     if off.abs() > PI - 1.0e-3 {
                         return None;
                     }
-                    let most = f64::from(p.max_yaw_rate_rad_s);
-                    (f64::from(p.heading_p) * off).clamp(-most, most)
+                    let max = f64::from(p.max_yaw_rate_rad_s);
+                    (f64::from(p.heading_p) * off).clamp(-max, max)
                 };
                 <[f64; 3]>::from(axis * tilt_rate + down * yaw_rate)
             }
@@ -199,15 +202,14 @@ impl InDouble {
             let error = wanted_rates[axis] - rates[axis];
             let slope = if dt_s > 0.0 { (rates[axis] - self.last_rates[axis]) / dt_s } else { 0.0 };
             self.last_rates[axis] = rates[axis];
-            let is_cut = if axis == 2 { now.cut.yaw } else { now.cut.roll_pitch };
-            if !is_cut {
-                let most = gain(p.max_integral_rad_s2);
-                self.integral[axis] =
-                    (self.integral[axis] + gain(p.rate_i) * error * dt_s).clamp(-most, most);
+            let is_saturated = if axis == 2 { now.saturation.yaw } else { now.saturation.roll_pitch };
+            if !is_saturated {
+                let max = gain(p.max_integral_rad_s2);
+                self.integral[axis] = (self.integral[axis] + gain(p.rate_i) * error * dt_s).clamp(-max, max);
             }
             torque[axis] =
                 self.inertia[axis] * (gain(p.rate_p) * error + self.integral[axis] - gain(p.rate_d) * slope);
-            // A rate's rounding is amplified by the derivative as the rate itself is.
+            // The derivative amplifies the rounding error of a rate in the same way as the rate.
             let rate = 70.0 + rates[axis].abs();
             let steep = if dt_s > 0.0 { 100.0 / dt_s } else { 0.0 };
             scale[axis] = self.inertia[axis]
@@ -221,7 +223,7 @@ impl InDouble {
 }
 
 fn params() -> impl Strategy<Value = ControlParams> {
-    let gains = |most: f32| [0.0..=most, 0.0..=most, 0.0..=most].prop_map(Vec3::from);
+    let gains = |max: f32| [0.0..=max, 0.0..=max, 0.0..=max].prop_map(Vec3::from);
     let limits = (0.01..=1.4_f32, 0.01..=35.0_f32, 0.01..=35.0_f32, 0.01..=35.0_f32, 0.0..=0.5_f32);
     let angle = (0.0..=100.0_f32, 0.0..=100.0_f32);
     let rate = (gains(1.0e3), gains(1.0e4), gains(10.0), gains(1.0e3));
@@ -241,7 +243,7 @@ fn params() -> impl Strategy<Value = ControlParams> {
     prop_oneof![Just(ControlParams::OS4), any]
 }
 
-fn moment() -> impl Strategy<Value = Moment> {
+fn step_input() -> impl Strategy<Value = StepInput> {
     let marks = || prop::sample::select(&[0.0, YAW_DEADBAND, -YAW_DEADBAND, 0.9, -1.0, 1.0][..]);
     let stick = || prop_oneof![2 => -1.0..=1.0_f32, 1 => marks()];
     let throttle = prop_oneof![4 => 0.0..=1.0_f32, 1 => prop::sample::select(&[0.0, 0.04, ControlParams::OS4.begin_throttle][..])];
@@ -250,32 +252,33 @@ fn moment() -> impl Strategy<Value = Moment> {
     let mode = prop_oneof![3 => Just(FlightMode::Angle), 1 => Just(FlightMode::Rate)];
     let tilt = prop_oneof![(-0.3..0.3, -0.3..0.3), (-PI..PI, -1.5..1.5), Just((PI, 0.0))];
     let rates = [-35.0..35.0_f32, -35.0..35.0, -35.0..35.0].prop_map(Vec3::from);
-    let cut = (any::<bool>(), any::<bool>()).prop_map(|(roll_pitch, yaw)| Saturation { roll_pitch, yaw });
+    let saturation =
+        (any::<bool>(), any::<bool>()).prop_map(|(roll_pitch, yaw)| Saturation { roll_pitch, yaw });
     let dt_s = prop_oneof![4 => 3.0e-5..0.1_f32, 1 => Just(0.0_f32)];
-    (sticks, mode, tilt, -3.1..3.1_f32, rates, cut, dt_s).prop_map(
-        |(sticks, mode, tilt, heading, rates, cut, dt_s)| Moment {
+    (sticks, mode, tilt, -3.1..3.1_f32, rates, saturation, dt_s).prop_map(
+        |(sticks, mode, tilt, heading, rates, saturation, dt_s)| StepInput {
             sticks,
             mode,
             tilt,
             heading,
             rates,
-            cut,
+            saturation,
             dt_s,
         },
     )
 }
 
 proptest! {
-    /// Whatever the gains, the sticks, the attitude and the rates: the torque is the one of the text.
+    /// For any gains, sticks, attitudes and rates: the torque is the documented one.
     #[test]
-    fn the_torque_is_that_of_a_second_cascade_in_f64(
+    fn torque_equals_a_second_controller_in_f64(
         params in params(),
         inertia in [1.0e-6..1.0_f32, 1.0e-6..1.0_f32, 1.0e-6..1.0_f32],
         heading in -3.0..3.0_f32,
-        moments in prop::collection::vec(moment(), 1..12),
+        inputs in prop::collection::vec(step_input(), 1..12),
     ) {
         let mut ours = Controller::new(&params, inertia.into()).unwrap();
-        let mut twin = InDouble {
+        let mut second = InDouble {
             params,
             inertia: inertia.map(f64::from),
             integral: [0.0; 3],
@@ -283,53 +286,53 @@ proptest! {
             heading_target: f64::from(heading),
             flying: false,
         };
-        ours.rest(Vec3::ZERO, heading);
-        for now in &moments {
-            let Some((expected, scale)) = twin.step(now) else { return Ok(()) };
+        ours.reset(Vec3::ZERO, heading);
+        for now in &inputs {
+            let Some((expected, scale)) = second.step(now) else { return Ok(()) };
             let [x, y, z] = <[f64; 3]>::from(down_at(now.tilt.0, now.tilt.1)).map(|part| part as f32);
             ours.set_sticks(&now.sticks, now.mode);
             prop_assert_eq!(ours.throttle(), now.sticks.throttle);
-            let torque = double(ours.step(vec3(x, y, z), now.heading, now.rates, now.cut, now.dt_s));
+            let torque = double(ours.step(vec3(x, y, z), now.heading, now.rates, now.saturation, now.dt_s));
             for axis in 0..3 {
                 let off = (torque[axis] - expected[axis]).abs();
                 prop_assert!(off <= 2.0e-5 * scale[axis], "axis {}: {} of {}", axis, torque[axis], expected[axis]);
             }
-            prop_assert_eq!(ours.holds_tilt(), twin.flying && now.mode == FlightMode::Angle);
+            prop_assert_eq!(ours.holds_tilt(), second.flying && now.mode == FlightMode::Angle);
         }
-        // On the ground again, nothing of it is left.
-        ours.rest(Vec3::ZERO, 0.5);
+        // A reset clears the state.
+        ours.reset(Vec3::ZERO, 0.5);
         prop_assert!(!ours.holds_tilt());
         ours.set_sticks(&CENTRED, FlightMode::Angle);
         prop_assert_eq!(ours.step(Vec3::Z, 0.5, Vec3::ZERO, FREE, 1e-3), Vec3::ZERO);
     }
 
-    /// Without a pilot: level and at the heading, from wherever the sticks were.
+    /// `set_level` gives level flight with held heading, for any previous sticks.
     #[test]
-    fn set_level_is_centred_sticks(now in moment(), throttle in 0.1..=1.0_f32) {
+    fn set_level_equals_centred_sticks(now in step_input(), throttle in 0.1..=1.0_f32) {
         let [mut level, mut centred] = [controller(now.sticks); 2];
         level.set_level(throttle);
         centred.set_sticks(&Sticks { throttle, ..CENTRED }, FlightMode::Angle);
-        let step = |c: &mut Controller| c.step(vec3(0.1, 0.2, 0.97), now.heading, now.rates, now.cut, now.dt_s);
+        let step = |c: &mut Controller| c.step(vec3(0.1, 0.2, 0.97), now.heading, now.rates, now.saturation, now.dt_s);
         prop_assert_eq!(step(&mut level), step(&mut centred));
         prop_assert_eq!(level.throttle(), throttle);
     }
 }
 
 #[test]
-fn a_rate_that_is_none_leaves_an_integral_that_is_one() {
+fn non_finite_rate_leaves_a_bounded_integral() {
     for odd in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, f32::MAX, f32::MIN] {
         let mut c = controller(CENTRED);
         c.step(Vec3::Z, 0.0, vec3(odd, odd, odd), FREE, 1e-3);
-        let most = ControlParams::OS4.max_integral_rad_s2;
-        for (held, most) in double(c.integral).into_iter().zip(double(most)) {
-            assert!(held.abs() <= most, "{odd}: {held}");
+        let max = ControlParams::OS4.max_integral_rad_s2;
+        for (held, max) in double(c.integral).into_iter().zip(double(max)) {
+            assert!(held.abs() <= max, "{odd}: {held}");
         }
     }
 }
 
-/// Every field, at its ends and beyond them.
+/// Every field, at the ends of its range and beyond them.
 #[test]
-fn parameters_outside_their_range_are_refused_by_name() {
+fn parameters_out_of_range_are_rejected_by_name() {
     type Set = fn(&mut ControlParams, f32);
     let fields: [(&str, f32, f32, Set); 18] = [
         ("control.max_tilt_rad", 0.01, 1.4, |p, x| p.max_tilt_rad = x),
@@ -351,14 +354,14 @@ fn parameters_outside_their_range_are_refused_by_name() {
         ("control.max_integral_rad_s2", 0.0, 1.0e3, |p, x| p.max_integral_rad_s2.y = x),
         ("control.max_integral_rad_s2", 0.0, 1.0e3, |p, x| p.max_integral_rad_s2.z = x),
     ];
-    for (field, least, most, set) in fields {
+    for (field, min, max, set) in fields {
         let with = |value| {
             let mut params = ControlParams::OS4;
             set(&mut params, value);
             Controller::new(&params, INERTIA).map(|_| ()).map_err(|error| error.field)
         };
-        assert_eq!((with(least), with(most)), (Ok(()), Ok(())), "{field}");
-        for odd in [least.next_down(), most.next_up(), f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
+        assert_eq!((with(min), with(max)), (Ok(()), Ok(())), "{field}");
+        for odd in [min.next_down(), max.next_up(), f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
             assert_eq!(with(odd), Err(field), "{odd}");
         }
     }

@@ -1,25 +1,25 @@
-//! Rotor speed to ESC pulse, and the pulse to what goes over the wire ([`protocol`]).
+//! Conversion of rotor speed into ESC pulses. [`protocol`] converts the pulses into timer values.
 
 pub mod protocol;
 
 use crate::arithmetic::{max, min};
 use crate::range::{ConfigError, check};
 
-/// The ESC's pulse map: linear in rotor speed from `stop_us` (no rotation) to `full_us` (`max_rad_s`).
+/// The pulse map of an ESC: linear in rotor speed from `stop_us` (no rotation) to `full_us` (`max_rad_s`).
 ///
-/// The map of a real ESC and motor is measured on a stand; a straight line through its ends is our choice
-/// for the default vehicle.
+/// The map of a real ESC and motor is measured on a test stand. The straight line is our assumption for the default
+/// vehicle.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct EscParams {
-    /// Pulse at which the motor stands still, µs.
+    /// Pulse at which the motor stands still, µs: 100 to 3,000.
     pub stop_us: f32,
-    /// Pulse of full speed, µs.
+    /// Pulse of full speed, µs: `stop_us + 1` to 3,000.
     pub full_us: f32,
 }
 
 impl EscParams {
-    /// 1,000 to 2,000 µs, the servo pulse that every ESC understands.
+    /// 1,000 to 2,000 µs, the range of servo pulses that every ESC accepts.
     pub const STANDARD: Self = Self { stop_us: 1000.0, full_us: 2000.0 };
 }
 
@@ -33,10 +33,11 @@ pub struct Esc {
 }
 
 impl Esc {
-    /// The map for rotors that do `idle_rad_s` to `max_rad_s`.
+    /// Creates the map for rotors that turn at `idle_rad_s` to `max_rad_s`.
     ///
     /// # Errors
-    /// Pulses outside 100 to 3,000 µs, or full not above stop.
+    /// Returns the pulse that is outside its range: `stop_us` 100 to 3,000 µs, `full_us` from `stop_us + 1` to
+    /// 3,000 µs.
     pub fn new(params: &EscParams, idle_rad_s: f32, max_rad_s: f32) -> Result<Self, ConfigError> {
         check("esc.stop_us", params.stop_us, 100.0, 3000.0)?;
         check("esc.full_us", params.full_us, params.stop_us + 1.0, 3000.0)?;
@@ -49,21 +50,22 @@ impl Esc {
         })
     }
 
-    /// The pulse of a disarmed motor, µs.
+    /// Returns the pulse of a stopped motor, µs.
     #[inline(always)]
     pub fn stop_us(&self) -> f32 {
         self.stop_us
     }
 
-    /// The pulse for a share (0 to 1) of the largest speed, without idling: for one motor on the bench, µs.
+    /// Returns the pulse for a share (0 to 1) of the maximum speed, µs. Unlike [`Self::pulse_us`] it does not keep
+    /// the rotor at idle: for one motor on the bench.
     pub fn pulse_of_share_us(&self, share: f32) -> f32 {
         min(max(self.stop_us + (self.full_us - self.stop_us) * share, self.stop_us), self.full_us)
     }
 
-    /// The pulse for a speed (rad/s), between idle and full, µs.
+    /// Returns the pulse for a speed (rad/s), limited to the range from idle to full, µs.
     #[inline(always)]
     pub fn pulse_us(&self, speed_rad_s: f32) -> f32 {
-        // `min` and `max` here also keep a NaN from reaching a motor: they return the limit.
+        // `min` and `max` of `arithmetic` return the limit for a NaN, so that no NaN reaches a motor.
         min(max(self.stop_us + self.us_per_rad_s * speed_rad_s, self.idle_us), self.full_us)
     }
 }
@@ -75,8 +77,8 @@ mod tests {
     use proptest::prelude::*;
 
     proptest! {
-        /// Any map that is taken: its pulses are those of the straight line, cut at idle and full, for any speed; and
-        /// a speed that is not a number idles.
+        /// For any valid map and any speed: the pulse is on the straight line, limited to idle and full. NaN gives
+        /// idle.
         #[test]
         fn pulses_of_any_speed(
             stop_us in 100.0..2000.0_f32, span_us in 1.0..1000.0_f32,
@@ -89,7 +91,7 @@ mod tests {
             let esc = Esc::new(&EscParams { stop_us, full_us }, idle_rad_s, max_rad_s).unwrap();
             prop_assert_eq!(esc.stop_us(), stop_us);
             let (stop, span) = (f64::from(stop_us), f64::from(full_us) - f64::from(stop_us));
-            let line = |share: f64, least: f64| stop + span * share.clamp(least, 1.0);
+            let line = |share: f64, min_share: f64| stop + span * share.clamp(min_share, 1.0);
             let near = |ours: f32, exact: f64| (f64::from(ours) - exact).abs() < 1e-3;
             if !share.is_nan() {
                 let speed = f64::from(share * max_rad_s) / f64::from(max_rad_s);
@@ -104,16 +106,16 @@ mod tests {
         }
 
         #[test]
-        fn any_pulses_are_a_map_or_refused(
+        fn any_pulses_form_a_map_or_are_rejected(
             stop_us in prop_oneof![0.0..4000.0_f32, ANY], full_us in prop_oneof![0.0..4000.0_f32, ANY],
         ) {
-            let good = (100.0..=3000.0).contains(&stop_us) && full_us >= stop_us + 1.0 && full_us <= 3000.0;
-            prop_assert_eq!(Esc::new(&EscParams { stop_us, full_us }, 32.0, 320.0).is_ok(), good);
+            let valid = (100.0..=3000.0).contains(&stop_us) && full_us >= stop_us + 1.0 && full_us <= 3000.0;
+            prop_assert_eq!(Esc::new(&EscParams { stop_us, full_us }, 32.0, 320.0).is_ok(), valid);
         }
     }
 
     #[test]
-    fn line_and_limits() {
+    fn pulses_on_the_line_and_at_its_limits() {
         let esc = Esc::new(&EscParams::STANDARD, 32.0, 320.0).unwrap();
         assert_eq!(esc.pulse_us(160.0), 1500.0);
         assert_eq!(esc.pulse_us(0.0), 1100.0);
@@ -123,7 +125,7 @@ mod tests {
     }
 
     #[test]
-    fn refuses_a_map_that_does_not_rise() {
+    fn falling_map_is_rejected() {
         let falling = EscParams { stop_us: 2000.0, full_us: 1000.0 };
         assert_eq!(Esc::new(&falling, 32.0, 320.0).unwrap_err().field, "esc.full_us");
     }

@@ -1,17 +1,17 @@
-//! Eq 18 on roll, pitch and yaw, each by itself, as the paper has it.
+//! Eq 18 on roll, pitch and yaw, each separately, as in the paper.
 
 use super::{Filter, MIN_HORIZONTAL_FIELD_SQUARED, MIN_SPECIFIC_FORCE_SQUARED, Weight};
 use crate::arithmetic::{atan2, direction, elevation, sin_cos, sqrt, wrap_pi};
 use crate::geometry::{Quaternion, Vec3, vec3};
 
-/// The Euler rates have 1/cos θ in them. Within 0.06° of the vertical it is held at 1/0.001, which keeps a
-/// step at 2,000 °/s and 1 kHz below 35 rad: wrong there, as Euler angles are, but finite.
+/// Smallest |cos θ| in the Euler rates, which contain 1/cos θ. Within 0.06° of the vertical the factor is limited to
+/// 1/0.001, which keeps a step at 2,000 °/s and 1 kHz below 35 rad: wrong there, as Euler angles are, but finite.
 const MIN_COS_PITCH: f32 = 0.001;
 
 /// The complementary filter in Euler angles.
 ///
-/// An update costs two [`sin_cos`] (of the new roll and pitch, used for the heading of this update, the
-/// kinematics of the next one, and the down direction), three [`atan2`] and one root.
+/// An update costs two [`sin_cos`] (of the new roll and pitch; the heading of this update, the kinematics of the next
+/// one and the direction of down use them), three [`atan2`] and one square root.
 #[derive(Clone, Copy, Debug)]
 pub struct EulerFilter {
     weight: Weight,
@@ -44,7 +44,7 @@ impl EulerFilter {
         }
     }
 
-    /// a\[k\] = o\[k−1\] + Δt · (φ̇, θ̇, ψ̇), with the Euler rates of the body rates at the last attitude.
+    /// a\[k\] = o\[k−1\] + Δt · (φ̇, θ̇, ψ̇), with the Euler rates computed from the body rates at the last attitude.
     #[inline(always)]
     fn predict(&mut self, gyro: Vec3<f32>, dt_s: f32) {
         let (sin_roll, cos_roll) = self.roll_sc;
@@ -57,7 +57,7 @@ impl EulerFilter {
         self.yaw += dt_s * yaw_rate;
     }
 
-    /// o = a + (1 − α)(b − a), the difference taken the short way round, so that ±180° is no edge.
+    /// o = a + (1 − α)(b − a), with the difference wrapped to ±180°, so that a crossing of ±180° causes no jump.
     #[inline(always)]
     fn correct_tilt(&mut self, f: Vec3<f32>, dt_s: f32) {
         let across = f.y * f.y + f.z * f.z;
@@ -66,13 +66,13 @@ impl EulerFilter {
         }
         let roll = atan2(-f.y, -f.z);
         let pitch = elevation(f.x, sqrt(across));
-        let share = if self.tilt_started { self.weight.of_measurement(dt_s) } else { 1.0 };
+        let share = if self.tilt_started { self.weight.measurement_weight(dt_s) } else { 1.0 };
         self.tilt_started = true;
         self.roll += share * wrap_pi(roll - self.roll);
         self.pitch += share * wrap_pi(pitch - self.pitch);
     }
 
-    /// Heading from the field turned level by roll and pitch, plus the declination.
+    /// Computes the heading from the field, rotated to level by roll and pitch, plus the declination.
     #[inline(always)]
     fn correct_heading(&mut self, m: Vec3<f32>) {
         let (sin_roll, cos_roll) = self.roll_sc;
@@ -83,7 +83,7 @@ impl EulerFilter {
             return;
         }
         let yaw = direction(-right, forward) + self.declination_rad;
-        let share = if self.heading_started { self.weight.of_measurement(self.mag_dt_s) } else { 1.0 };
+        let share = if self.heading_started { self.weight.measurement_weight(self.mag_dt_s) } else { 1.0 };
         self.heading_started = true;
         self.mag_dt_s = 0.0;
         self.yaw += share * wrap_pi(yaw - self.yaw);
@@ -100,7 +100,7 @@ impl Filter for EulerFilter {
     fn update(&mut self, gyro: Vec3<f32>, accel: Vec3<f32>, mag: Option<Vec3<f32>>, dt_s: f32) {
         self.predict(gyro, dt_s);
         self.correct_tilt(accel, dt_s);
-        // The differences are taken the short way round wherever the prediction stands: once around is enough.
+        // The differences are wrapped for any value of the prediction, so one wrap per update is enough.
         self.roll = wrap_pi(self.roll);
         self.pitch = wrap_pi(self.pitch);
         self.roll_sc = sin_cos(self.roll);
@@ -120,7 +120,7 @@ impl Filter for EulerFilter {
         self.tilt_started
     }
 
-    /// (−sin θ, sin φ cos θ, cos φ cos θ): the last row of the rotation matrix.
+    /// Returns (−sin θ, sin φ cos θ, cos φ cos θ): the last row of the rotation matrix.
     #[inline(always)]
     fn down(&self) -> Vec3<f32> {
         let (sin_roll, cos_roll) = self.roll_sc;

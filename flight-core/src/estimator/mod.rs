@@ -1,19 +1,19 @@
-//! Attitude from gyroscope, accelerometer and magnetometer: by the complementary filter of eq 18, or by
-//! [`RobustFilter`].
+//! Attitude estimators: attitude from gyroscope, accelerometer and magnetometer, by the complementary filter of eq 18
+//! of the paper or by [`RobustFilter`].
 //!
-//! o\[k\] = α a\[k\] + (1 − α) b\[k\], where a\[k\] = o\[k−1\] + ωΔt is what the gyroscope predicts and
-//! b\[k\] is what accelerometer (tilt) and magnetometer (heading) measure. The gyroscope is trusted over
-//! times shorter than τ = αΔt/(1 − α), the other two over longer ones.
+//! Eq 18 is o\[k\] = α a\[k\] + (1 − α) b\[k\]. a\[k\] = o\[k−1\] + ωΔt is the prediction from the gyroscope, b\[k\]
+//! the measurement by accelerometer (tilt) and magnetometer (heading). For times shorter than τ = αΔt/(1 − α) the
+//! gyroscope dominates, for longer ones the other two sensors.
 //!
-//! | preset | kinematics | α | for |
+//! | preset | kinematics | α | use |
 //! |---|---|---|---|
-//! | [`EstimatorParams::PAPER`] | Euler angles | τ/(τ + Δt), τ = 0.3233 s: 0.97 at 100 Hz | bench, stand, near hover |
-//! | [`EstimatorParams::PAPER_LITERAL`] | Euler angles | 0.97 at whatever rate the data has | comparison with the paper |
+//! | [`EstimatorParams::PAPER`] | Euler angles | τ/(τ + Δt), τ = 0.3233 s: 0.97 at 100 Hz | bench, test stand, near hover |
+//! | [`EstimatorParams::PAPER_LITERAL`] | Euler angles | 0.97 at any sample rate | comparison with the paper |
 //! | [`EstimatorParams::FLIGHT`] | quaternion | τ = 10 s | flight |
-//! | [`EstimatorParams::ROBUST`] | quaternion | see [`RobustFilter`] | flight with a gyroscope that drifts, logs |
+//! | [`EstimatorParams::ROBUST`] | quaternion | see [`RobustFilter`] | flight with a drifting gyroscope, recordings |
 //!
-//! Why `paper` cannot fly: in free flight the accelerometer shows tilt only through drag (without drag it
-//! always reads level), so a held tilt φ decays at φ/τ. `docs/paper.md` shows it.
+//! `paper` is not suitable for flight: in free flight the accelerometer shows tilt only through drag (without drag it
+//! always reads level), so the estimate of a held tilt φ decays at the rate φ/τ. `docs/paper.md` shows this.
 
 mod at_rest;
 mod euler;
@@ -29,32 +29,33 @@ use crate::arithmetic::atan2;
 use crate::geometry::{Quaternion, Vec3};
 use crate::range::{ConfigError, check};
 
-/// Below a tenth of standard gravity the direction of the specific force says nothing about tilt
-/// (free fall), and the correction is left out. m²/s⁴.
+/// Square of the smallest specific force used for tilt, a tenth of standard gravity, m²/s⁴. Below it, as in free
+/// fall, the direction contains no information about tilt, and the correction is omitted.
 const MIN_SPECIFIC_FORCE_SQUARED: f32 = 0.980_665 * 0.980_665;
 
-/// Below 1 µT of horizontal field (the Earth's is 10 to 40 away from the magnetic poles) the direction says
-/// nothing about heading, and the correction is left out. µT².
+/// Square of the smallest horizontal field used for heading, 1 µT, in µT² (the Earth's horizontal field is 10 to
+/// 40 µT away from the magnetic poles). Below it the direction contains no information about heading, and the correction
+/// is omitted.
 const MIN_HORIZONTAL_FIELD_SQUARED: f32 = 1.0;
 
-/// How the two sides of eq 18 are weighted.
+/// The weight α of eq 18.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub enum Weight {
-    /// α = τ/(τ + Δt): the same behaviour in time at any rate.
+    /// α = τ/(τ + Δt): the same time response at any sample rate.
     TimeConstant {
-        /// τ, s.
+        /// Time constant τ, s: 10⁻³ to 10⁴.
         tau_s: f32,
     },
-    /// α as given, at whatever rate the data has.
+    /// A fixed α, at any sample rate.
     Fixed {
-        /// α, the weight of the gyroscope.
+        /// α, the weight of the gyroscope, 0 to 1.
         alpha: f32,
     },
 }
 
 impl Weight {
-    /// The paper's 0.97, taken at 100 Hz: τ = 0.97 · 0.01 s / 0.03 = 0.3233 s.
+    /// α = 0.97 of the paper, taken as the value at 100 Hz: τ = 0.97 · 0.01 s / 0.03 = 0.3233 s.
     pub const PAPER: Self = Self::TimeConstant { tau_s: 0.97 * 0.01 / 0.03 };
 
     fn setting(&mut self) -> Setting<'_> {
@@ -64,9 +65,9 @@ impl Weight {
         }
     }
 
-    /// 1 − α for a step of `dt_s`.
+    /// Returns 1 − α for a step of `dt_s` (s).
     #[inline(always)]
-    fn of_measurement(self, dt_s: f32) -> f32 {
+    fn measurement_weight(self, dt_s: f32) -> f32 {
         match self {
             Weight::TimeConstant { tau_s } => dt_s / (tau_s + dt_s),
             Weight::Fixed { alpha } => 1.0 - alpha,
@@ -78,52 +79,52 @@ impl Weight {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub enum Kinematics {
-    /// Roll, pitch and yaw, each blended by itself, as in the paper. Singular at a pitch of ±90°.
+    /// Roll, pitch and yaw, each blended separately, as in the paper. Singular at a pitch of ±90°.
     Euler,
     /// A quaternion, blended along the shortest rotation. No singularity.
     Quaternion,
 }
 
-/// A kind of filter.
+/// The method of an estimator, with its parameters.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub enum Method {
-    /// Eq 18.
+    /// The complementary filter of eq 18.
     Complementary {
-        /// Coordinates.
+        /// Coordinates of the attitude.
         kinematics: Kinematics,
-        /// Weights.
+        /// Weight of the gyroscope.
         weight: Weight,
     },
-    /// [`RobustFilter`].
+    /// The [`RobustFilter`].
     Robust(RobustParams),
 }
 
-/// Which filter to run.
+/// Parameters of an estimator.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct EstimatorParams {
-    /// Kind of filter, and its own parameters.
+    /// Method, with its own parameters.
     pub method: Method,
-    /// Magnetic declination at the place of flight, rad, positive east.
+    /// Magnetic declination at the place of flight, positive east, rad: −π to π.
     pub declination_rad: f32,
 }
 
 impl EstimatorParams {
-    /// The paper's filter.
+    /// The filter of the paper, with a time constant.
     pub const PAPER: Self = Self::complementary(Kinematics::Euler, Weight::PAPER);
-    /// The paper's filter, 0.97 at whatever rate the data has.
+    /// The filter of the paper, with α = 0.97 at any sample rate.
     pub const PAPER_LITERAL: Self = Self::complementary(Kinematics::Euler, Weight::Fixed { alpha: 0.97 });
-    /// The filter that flies.
+    /// The filter for flight.
     pub const FLIGHT: Self =
         Self::complementary(Kinematics::Quaternion, Weight::TimeConstant { tau_s: 10.0 });
-    /// The filter that learns bias and disturbances.
+    /// The filter that estimates gyroscope bias and disturbances.
     pub const ROBUST: Self = Self {
         method: Method::Robust(RobustParams { tilt_tau_s: 5.0, heading_tau_s: 9.0 }),
         declination_rad: 0.0,
     };
 
-    /// The presets by the names that scenes and the command line use.
+    /// The presets with the names that scenes and the command line use.
     pub const PRESETS: [(&'static str, Self); 4] = [
         ("paper", Self::PAPER),
         ("paper-literal", Self::PAPER_LITERAL),
@@ -131,12 +132,12 @@ impl EstimatorParams {
         ("robust", Self::ROBUST),
     ];
 
-    /// Eq 18 with a declination of 0.
+    /// Returns the parameters of eq 18 with a declination of 0.
     pub const fn complementary(kinematics: Kinematics, weight: Weight) -> Self {
         Self { method: Method::Complementary { kinematics, weight }, declination_rad: 0.0 }
     }
 
-    /// The numbers that the filter is set by, each with its range: those of its kind, and the declination.
+    /// Returns the numeric parameters with their ranges: those of the method, then the declination.
     pub fn settings(&mut self) -> impl Iterator<Item = Setting<'_>> {
         const PI: f32 = core::f32::consts::PI;
         let [first, second] = match &mut self.method {
@@ -148,14 +149,14 @@ impl EstimatorParams {
     }
 }
 
-/// A number that a filter is set by.
+/// A numeric parameter of an estimator, with its range.
 #[derive(Debug, PartialEq)]
 pub struct Setting<'a> {
-    /// Its name, as errors have it, with its unit.
+    /// Name with unit, as errors show it.
     pub name: &'static str,
-    /// The number.
+    /// Value.
     pub value: &'a mut f32,
-    /// Smallest and largest that it may be.
+    /// Smallest and largest permitted value.
     pub range: [f32; 2],
 }
 
@@ -165,84 +166,87 @@ impl<'a> Setting<'a> {
     }
 }
 
-/// What every filter takes and gives. A new one is a file with a struct that does this, and its line in this file's
+/// Interface of all filters. A new filter is a file with a struct that implements this trait, plus one line in
 /// [`Method`], [`Filters`], [`with_filter!`](crate::with_filter) and [`Estimator::new`].
 pub trait Filter {
-    /// Whether it averages accelerometer and magnetometer over seconds, and so needs no prefilter.
-    const IS_A_LOW_PASS: bool = false;
+    /// Whether the filter averages accelerometer and magnetometer over seconds, so that its inputs need no prefilter.
+    const IS_LOW_PASS: bool = false;
 
-    /// See [`Estimator::update`].
+    /// Processes one sample: see [`Estimator::update`].
     fn update(&mut self, gyro: Vec3<f32>, accel: Vec3<f32>, mag: Option<Vec3<f32>>, dt_s: f32);
 
-    /// Begins again, as new.
+    /// Resets the filter to its initial state.
     fn restart(&mut self);
 
-    /// Whether a first sample has set the attitude.
+    /// Returns whether a first sample has set the attitude.
     fn started(&self) -> bool;
 
-    /// Down in body axes.
+    /// Returns the direction of down in body axes, unit vector.
     fn down(&self) -> Vec3<f32>;
 
-    /// The attitude, body to world.
+    /// Returns the attitude, body to world, unit quaternion.
     fn attitude(&self) -> Quaternion<f32>;
 
-    /// Heading of the body's x axis, rad, clockwise from true north, in [−π, π].
+    /// Returns the heading of the body's x axis, rad, clockwise from true north, in [−π, π].
     #[inline(always)]
     fn heading(&self) -> f32 {
         let [w, x, y, z] = self.attitude().to_array();
         atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
     }
 
-    /// See [`Estimator::gyro_zeroed`]: nothing, for a filter that learns no bias.
+    /// Informs the filter that the gyroscope was zeroed: see [`Estimator::on_gyro_zeroed`]. No effect in a filter
+    /// without bias estimation.
     #[inline(always)]
-    fn gyro_zeroed(&mut self) {}
+    fn on_gyro_zeroed(&mut self) {}
 
-    /// The gyroscope's bias as it was learnt, rad/s, body axes.
+    /// Returns the estimated bias of the gyroscope, rad/s, body axes; zero in a filter without bias estimation.
     #[inline(always)]
     fn gyro_bias(&self) -> Vec3<f32> {
         Vec3::ZERO
     }
 }
 
-/// A filter of any kind.
-// With a number of its own for the kind: hidden in a field of one of them it takes four instructions to read, each time.
+/// A filter of any method.
+// An explicit discriminant: stored in a niche of a field it would take four instructions to read each time.
 #[derive(Clone, Copy, Debug)]
 #[repr(u32)]
 pub enum Filters {
-    /// On a quaternion. First, because it is what mostly flies: a comparison with 0 takes no second instruction.
+    /// Complementary filter on a quaternion. First, because it is the usual filter in flight: a comparison with 0
+    /// needs no second instruction.
     Quaternion(QuaternionFilter),
-    /// In Euler angles.
+    /// Complementary filter in Euler angles.
     Euler(EulerFilter),
-    /// On a quaternion, with estimates of bias and disturbances.
+    /// Filter on a quaternion that estimates bias and disturbances.
     Robust(RobustFilter),
 }
 
-/// `with_filter!(filters, filter => expression)`: the expression with the [`Filter`] of whichever kind it is.
+/// `with_filter!(filters, filter => expression)` evaluates the expression with `filter` bound to the [`Filter`]
+/// inside `filters`.
 #[macro_export]
 macro_rules! with_filter {
-    ($filters:expr, $filter:ident => $what:expr) => {
+    ($filters:expr, $filter:ident => $expression:expr) => {
         match $filters {
-            $crate::estimator::Filters::Euler($filter) => $what,
-            $crate::estimator::Filters::Quaternion($filter) => $what,
-            $crate::estimator::Filters::Robust($filter) => $what,
+            $crate::estimator::Filters::Euler($filter) => $expression,
+            $crate::estimator::Filters::Quaternion($filter) => $expression,
+            $crate::estimator::Filters::Robust($filter) => $expression,
         }
     };
 }
 
-/// A running filter.
+/// A running attitude estimator.
 #[derive(Clone, Copy, Debug)]
 pub struct Estimator {
     filter: Filters,
-    /// Down in body axes, kept from the last update: the controller asks for it each time.
+    /// Direction of down in body axes after the last update. Stored, because the controller reads it in each step.
     down: Vec3<f32>,
 }
 
 impl Estimator {
-    /// A filter that starts from its first sample.
+    /// Creates an estimator that starts from its first sample.
     ///
     /// # Errors
-    /// τ outside 1 ms to 10⁴ s, α outside 0 to 1, a time constant of [`RobustParams`] outside 0.1 to
-    /// 100 s (tilt) or 1,000 s (heading), a declination outside ±π.
+    /// Returns the first parameter outside its range: τ 10⁻³ to 10⁴ s, α 0 to 1, time constants of [`RobustParams`]
+    /// 0.1 to 100 s (tilt) and 0.1 to 1,000 s (heading), declination ±π.
     pub fn new(params: &EstimatorParams) -> Result<Self, ConfigError> {
         for Setting { name, value, range: [minimum, maximum] } in { *params }.settings() {
             check(name, *value, minimum, maximum)?;
@@ -260,13 +264,13 @@ impl Estimator {
         Ok(Self { filter, down: Vec3::Z })
     }
 
-    /// Takes one sample: angular rate (rad/s), specific force (m/s²), and field (µT) if there is a new one,
-    /// all in body axes, `dt_s` after the last. The first sample sets the attitude.
+    /// Processes one sample, `dt_s` (s) after the last one: angular rate (rad/s), specific force (m/s²), and the
+    /// magnetic field (µT) if there is a new one, all in body axes. The first sample sets the attitude.
     ///
-    /// A sample is one if it turns the body by less than 1,000 rad, shows less than 10⁸ m/s² and µT, and
-    /// comes after the last one. Of others nothing is promised, and of these, that the attitude stays finite.
-    /// [`crate::FlightController`] has no others: [`crate::calibration::SensorModel`] bounds what counts can
-    /// become.
+    /// Valid samples have `dt_s` above 0, turn the body by less than 1,000 rad, and have components below 10⁸ m/s²
+    /// and µT. With valid samples the attitude stays finite; with others it is unspecified.
+    /// [`crate::FlightController`] passes only valid samples, because [`crate::calibration::SensorModel`] bounds the
+    /// readings.
     #[inline]
     pub fn update(&mut self, gyro: Vec3<f32>, accel: Vec3<f32>, mag: Option<Vec3<f32>>, dt_s: f32) {
         self.down = with_filter!(&mut self.filter, filter => {
@@ -275,61 +279,63 @@ impl Estimator {
         });
     }
 
-    /// Begins again, as new: from the next sample.
+    /// Resets the estimator: it starts again from the next sample.
     pub fn restart(&mut self) {
         with_filter!(&mut self.filter, filter => filter.restart());
         self.down = Vec3::Z;
     }
 
-    /// The rates that go in were zeroed at rest just now ([`GyroZero`]): they have no bias left. A filter that
-    /// learns a bias looks for rest no more from here on, because the caller knows better: a hover is as still
-    /// as a bench, and a slow steady turn reads like a bias.
+    /// Informs the estimator that the input rates were just zeroed at rest ([`GyroZero`]) and have no bias left. A
+    /// filter that estimates a bias then stops its own detection of rest, because the caller has better information:
+    /// a hover can be as still as a bench, and a slow steady turn looks like a bias.
     #[inline]
-    pub fn gyro_zeroed(&mut self) {
-        with_filter!(&mut self.filter, filter => filter.gyro_zeroed());
+    pub fn on_gyro_zeroed(&mut self) {
+        with_filter!(&mut self.filter, filter => filter.on_gyro_zeroed());
     }
 
-    /// The gyroscope's bias as this filter has learnt it, rad/s, body axes: to be subtracted from what went in.
+    /// Returns the bias of the gyroscope as this filter has estimated it, rad/s, body axes. Subtract it from the
+    /// input rates.
     #[inline(always)]
     pub fn gyro_bias(&self) -> Vec3<f32> {
         with_filter!(&self.filter, filter => filter.gyro_bias())
     }
 
-    /// Whether what goes in needs no prefilter, because the filter averages over seconds whatever is not turned
-    /// by the gyroscope. A prefilter only makes its attitude late: 30 Hz by √2/(2π · 30 Hz) = 7.5 ms, which
-    /// at 200 °/s is 1.5°.
+    /// Returns whether the input needs no prefilter, because the filter averages accelerometer and magnetometer over
+    /// seconds. A prefilter would only delay the attitude: 30 Hz by √2/(2π · 30 Hz) = 7.5 ms, which is 1.5° at
+    /// 200 °/s.
     #[inline(always)]
-    pub fn is_a_low_pass(&self) -> bool {
+    pub fn is_low_pass(&self) -> bool {
         fn of<F: Filter>(_: &F) -> bool {
-            F::IS_A_LOW_PASS
+            F::IS_LOW_PASS
         }
         with_filter!(&self.filter, filter => of(filter))
     }
 
-    /// Whether a first sample has set the attitude.
+    /// Returns whether a first sample has set the attitude.
     pub fn started(&self) -> bool {
         with_filter!(&self.filter, filter => filter.started())
     }
 
-    /// The world's down direction in body axes: the tilt, without any heading.
+    /// Returns the direction of down in body axes, unit vector: the tilt, without heading.
     #[inline(always)]
     pub fn down(&self) -> Vec3<f32> {
         self.down
     }
 
-    /// Heading of the body's x axis, rad, clockwise from true north, in [−π, π]. Of [`Kinematics::Euler`] it is the
-    /// yaw, which does not turn round where the pitch goes over the vertical.
+    /// Returns the heading of the body's x axis, rad, clockwise from true north, in [−π, π]. With
+    /// [`Kinematics::Euler`] it is the yaw angle, which does not change by half a turn where the pitch passes the
+    /// vertical.
     #[inline]
     pub fn heading(&self) -> f32 {
         with_filter!(&self.filter, filter => filter.heading())
     }
 
-    /// The attitude, body to world.
+    /// Returns the attitude, body to world, unit quaternion.
     pub fn attitude(&self) -> Quaternion<f32> {
         with_filter!(&self.filter, filter => filter.attitude())
     }
 
-    /// The filter that runs.
+    /// Returns the running filter.
     pub fn filter(&self) -> &Filters {
         &self.filter
     }

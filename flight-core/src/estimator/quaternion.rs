@@ -1,4 +1,4 @@
-//! Eq 18 on a quaternion: predict by the gyroscope, then go the share 1 − α of the shortest rotation from
+//! Eq 18 on a quaternion: predicts with the gyroscope, then rotates by the share 1 − α of the shortest rotation from
 //! the prediction to the measurement, first in tilt, then in heading.
 
 use super::{Filter, MIN_HORIZONTAL_FIELD_SQUARED, MIN_SPECIFIC_FORCE_SQUARED, Weight};
@@ -7,8 +7,8 @@ use crate::geometry::{Quaternion, Vec3, vec3};
 
 /// The complementary filter on a quaternion.
 ///
-/// While the filter is younger than τ its age takes the place of τ, which makes the start the plain mean of
-/// the first measurements instead of a τ-long decay of the first sample's noise.
+/// While the age of the filter is less than τ, the age replaces τ. The attitude then starts as the mean of the first
+/// measurements; otherwise the noise of the first sample would decay over τ.
 #[derive(Clone, Copy, Debug)]
 pub struct QuaternionFilter {
     q: Quaternion<f32>,
@@ -38,14 +38,14 @@ impl QuaternionFilter {
         }
     }
 
-    /// Turns the predicted down direction towards the measured one, −f.
+    /// Rotates the predicted direction of down towards the measured one, −f.
     #[inline(always)]
     fn correct_tilt(&mut self, f: Vec3<f32>, dt_s: f32) {
         if f.dot(f) < MIN_SPECIFIC_FORCE_SQUARED {
             return;
         }
         let predicted = self.q.down();
-        let axis = predicted.cross(f); // −f × predicted, times |f|: the axis that turns the body
+        let axis = predicted.cross(f); // −f × predicted, times |f|: the axis of the rotation of the body
         let sine = axis.norm();
         let angle = direction(sine, -f.dot(predicted));
         let share = Self::share(self.weight, &mut self.tilt_age_s, dt_s);
@@ -54,7 +54,7 @@ impl QuaternionFilter {
         let turn = if sine > 1.0e-6 {
             axis * (share * angle / sine)
         } else {
-            // Parallel: nothing to do. Antiparallel: any level axis serves.
+            // Parallel: no correction. Antiparallel: every horizontal axis is equivalent.
             let across = if predicted.y.abs() < 0.7 { vec3(0.0, 1.0, 0.0) } else { Vec3::X };
             let level = across.cross(predicted);
             level * (share * angle / level.norm())
@@ -62,7 +62,7 @@ impl QuaternionFilter {
         self.q = self.q * Quaternion::from_rotation_vector(turn);
     }
 
-    /// Turns the heading about the vertical until the horizontal field lies along magnetic north.
+    /// Corrects the heading about the vertical so that the horizontal field points to magnetic north.
     #[inline(always)]
     fn correct_heading(&mut self, m: Vec3<f32>) {
         let field = self.q.rotate(m);
@@ -77,16 +77,16 @@ impl QuaternionFilter {
         self.q = Quaternion::from_rotation_vector(vec3(0.0, 0.0, -share * excess)) * self.q;
     }
 
-    /// 1 − α for a filter of this age, which it makes older by `dt_s`.
+    /// Returns 1 − α for a filter of this age, and increases the age by `dt_s`.
     #[inline(always)]
     fn share(weight: Weight, age_s: &mut f32, dt_s: f32) -> f32 {
         match weight {
-            // A sample that covers no time weighs nothing, at no age either.
+            // A sample that covers no time has no weight, also at age 0.
             Weight::TimeConstant { tau_s } if *age_s < tau_s && dt_s > 0.0 => {
                 *age_s += dt_s;
                 dt_s / *age_s
             }
-            weight => weight.of_measurement(dt_s),
+            weight => weight.measurement_weight(dt_s),
         }
     }
 }
@@ -100,7 +100,8 @@ impl Filter for QuaternionFilter {
         if let Some(field) = mag {
             self.correct_heading(field);
         }
-        // One Newton step for 1/√n at n = 1: a step's rounding leaves n within 1e-6 of 1, which it squares.
+        // One Newton step for 1/√n at n = 1. The rounding of a step leaves n within 1e-6 of 1; the Newton step
+        // squares this error.
         self.q = self.q.scaled(1.5 - 0.5 * self.q.norm_squared());
     }
 

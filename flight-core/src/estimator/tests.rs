@@ -1,24 +1,24 @@
-//! Eq 18 and the robust filter against closed forms; the noise gains of eq 18 stand in the `tests` crate,
-//! beside the noise source.
+//! Tests of eq 18 and of the robust filter against closed forms. The noise gains of eq 18 are tested in the `tests`
+//! crate, beside the noise source.
 
 use super::*;
 use crate::arithmetic::wrap_pi;
 use crate::geometry::vec3;
 use core::f32::consts::{FRAC_PI_2, PI};
 
-#[cfg(not(miri))] // thousands of samples beside a second filter: minutes for each
+#[cfg(not(miri))] // thousands of samples through two filters: minutes for each test
 pub(super) mod properties;
 
 const G: f32 = crate::STANDARD_GRAVITY;
 const LEVEL: Vec3<f32> = vec3(0.0, 0.0, -G);
-/// Field at Ankara, level and pointing north, µT.
+/// Field at Ankara in world axes with x to magnetic north, µT.
 const FIELD: Vec3<f32> = vec3(25.0, 0.0, 41.0);
 
 fn all() -> [Estimator; 4] {
     EstimatorParams::PRESETS.map(|(_, params)| Estimator::new(&params).unwrap())
 }
 
-/// What the sensors read at rest in attitude `q`.
+/// Returns specific force and field in body axes at rest in attitude `q`.
 fn at_rest(q: Quaternion<f32>) -> (Vec3<f32>, Vec3<f32>) {
     (q.conjugate().rotate(LEVEL), q.conjugate().rotate(FIELD))
 }
@@ -28,7 +28,7 @@ fn euler(roll: f32, pitch: f32, yaw: f32) -> Quaternion<f32> {
     Quaternion::from_half_angles(half(roll), half(pitch), half(yaw))
 }
 
-/// Angle of the rotation between two attitudes, rad.
+/// Returns the angle of the rotation between two attitudes, rad.
 fn apart(a: Quaternion<f32>, b: Quaternion<f32>) -> f32 {
     let d = a * b.conjugate();
     2.0 * d.v.norm().atan2(d.w.abs())
@@ -54,7 +54,7 @@ fn first_sample_sets_the_attitude() {
 
 #[test]
 #[cfg_attr(miri, ignore = "4,000 steps")]
-fn constant_bias_tilts_the_paper_by_32_33_steps_of_it() {
+fn constant_bias_tilts_paper_by_32_33_steps() {
     // o = α(o + bΔt) has the fixed point αbΔt/(1 − α) = 32.33 Δt b.
     for params in [EstimatorParams::PAPER, EstimatorParams::PAPER_LITERAL] {
         let mut e = Estimator::new(&params).unwrap();
@@ -68,7 +68,7 @@ fn constant_bias_tilts_the_paper_by_32_33_steps_of_it() {
 
 #[test]
 #[cfg_attr(miri, ignore = "20,000 steps")]
-fn constant_bias_tilts_flight_by_tau_of_it() {
+fn constant_bias_tilts_flight_by_tau() {
     let mut e = Estimator::new(&EstimatorParams::FLIGHT).unwrap();
     for _ in 0..20_000 {
         e.update(vec3(0.001, 0.0, 0.0), LEVEL, Some(FIELD), 0.01);
@@ -77,26 +77,26 @@ fn constant_bias_tilts_flight_by_tau_of_it() {
 }
 
 #[test]
-fn weights_at_the_rates_of_the_design() {
+fn weights_at_100_hz_285_hz_and_1_khz() {
     let weight = |params: EstimatorParams| match params.method {
         Method::Complementary { weight, .. } => weight,
         Method::Robust(_) => unreachable!(),
     };
     let paper = weight(EstimatorParams::PAPER);
-    assert!((paper.of_measurement(0.01) - 0.03).abs() < 1e-7);
-    // τ/(τ + Δt) at the recordings' 285.714 Hz: α = 0.98929.
-    assert!((1.0 - paper.of_measurement(0.0035) - 0.989_29).abs() < 1e-5);
-    assert!((weight(EstimatorParams::PAPER_LITERAL).of_measurement(0.001) - 0.03).abs() < 1e-7);
+    assert!((paper.measurement_weight(0.01) - 0.03).abs() < 1e-7);
+    // τ/(τ + Δt) at 285.714 Hz, the rate of the recordings: α = 0.98929.
+    assert!((1.0 - paper.measurement_weight(0.0035) - 0.989_29).abs() < 1e-5);
+    assert!((weight(EstimatorParams::PAPER_LITERAL).measurement_weight(0.001) - 0.03).abs() < 1e-7);
 }
 
 #[test]
 #[cfg_attr(miri, ignore = "7,000 steps of each filter")]
-fn follows_turns_through_half_a_turn_without_a_jump() {
+fn follows_turns_past_180_degrees_without_a_jump() {
     // About each axis in turn, 1 rad/s for 7 s: past ±180° of roll and yaw, and back.
     for (axis, singular) in [(0, false), (1, true), (2, false)] {
         for (n, mut e) in all().into_iter().enumerate() {
             if singular && n < 2 {
-                continue; // Euler angles do not go over ±90° of pitch
+                continue; // Euler angles do not pass ±90° of pitch
             }
             for k in 0..=7000_u16 {
                 let angle = f32::from(k) * 1e-3;
@@ -126,7 +126,7 @@ fn declination_turns_the_heading_east() {
 
 #[test]
 #[cfg_attr(miri, ignore = "1,000 steps of each filter")]
-fn free_fall_and_a_vertical_field_correct_nothing() {
+fn free_fall_and_vertical_field_correct_nothing() {
     for mut e in all() {
         let q = euler(0.3, 0.2, 1.0);
         let (accel, mag) = at_rest(q);
@@ -141,7 +141,7 @@ fn free_fall_and_a_vertical_field_correct_nothing() {
 
 #[test]
 #[cfg_attr(miri, ignore = "thousands of steps of each filter")]
-fn a_start_upside_down_from_the_truth_converges() {
+fn start_upside_down_converges_to_the_truth() {
     for (n, mut e) in all().into_iter().enumerate() {
         let (accel, mag) = at_rest(euler(PI, 0.0, 0.0));
         e.update(Vec3::ZERO, accel, Some(mag), 0.0);
@@ -156,7 +156,7 @@ fn a_start_upside_down_from_the_truth_converges() {
 }
 
 #[test]
-fn the_young_flight_filter_is_the_mean_of_its_measurements() {
+fn flight_starts_as_the_mean_of_its_measurements() {
     let mut e = Estimator::new(&EstimatorParams::FLIGHT).unwrap();
     let mut sum = 0.0;
     for k in 0..500_u16 {
@@ -170,7 +170,7 @@ fn the_young_flight_filter_is_the_mean_of_its_measurements() {
 
 #[test]
 #[cfg_attr(miri, ignore = "10,000 steps of each filter")]
-fn parked_at_the_vertical_all_stay_finite() {
+fn turning_at_90_degrees_pitch_stays_finite() {
     for mut e in all() {
         let (accel, mag) = at_rest(euler(0.0, FRAC_PI_2, 0.0));
         for k in 0..10_000_u16 {
@@ -181,9 +181,8 @@ fn parked_at_the_vertical_all_stay_finite() {
     }
 }
 
-/// Eq 18 in Euler angles as the paper writes it, in f64 with the standard library's functions. It shares no
-/// line with the filter: each angle's short way round is by remainder, and nothing is kept between updates
-/// but the angles.
+/// Eq 18 in Euler angles as the paper writes it, in f64 with the functions of the standard library. It shares no code
+/// with the filter: each angle is wrapped by a remainder, and only the angles are kept between updates.
 struct PaperInDouble {
     angles: [f64; 3],
     alpha: f64,
@@ -217,17 +216,17 @@ fn remainder(x: f64) -> f64 {
 #[test]
 #[cfg_attr(miri, ignore = "thousands of steps in f64")]
 fn paper_equals_a_filter_in_f64_over_random_motion() {
-    // Ten minutes at 1 kHz: every axis turns by sines of unrelated frequencies, at up to 100 °/s, with pitch
-    // within ±60°, roll and yaw past ±180°, and accelerometer and magnetometer see accelerations and
-    // disturbances of a tenth of what they measure.
+    // Ten minutes at 1 kHz. Every axis turns by sines of unrelated frequencies at up to 100 °/s, with pitch within
+    // ±60° and roll and yaw past ±180°. Accelerometer and magnetometer also measure accelerations and disturbances of
+    // a tenth of their readings.
     const DT_S: f32 = 1e-3;
     let mut e = Estimator::new(&EstimatorParams::PAPER).unwrap();
     let tau = 0.97 * 0.01 / 0.03_f64;
     let dt_s = f64::from(DT_S);
-    let mut twin = PaperInDouble { angles: [0.0; 3], alpha: tau / (tau + dt_s) };
+    let mut second = PaperInDouble { angles: [0.0; 3], alpha: tau / (tau + dt_s) };
     let mut state = 1_u64;
     let mut noise = |size: f64| {
-        // Knuth's MMIX generator; the upper half is what is random.
+        // Knuth's MMIX generator; only the upper half of the bits is random enough.
         state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
         size * (((state >> 32) as f64) / 2_147_483_648.0 - 1.0)
     };
@@ -259,17 +258,17 @@ fn paper_equals_a_filter_in_f64_over_random_motion() {
         let mag = mag + vec3(noise(4.0) as f32, noise(4.0) as f32, noise(4.0) as f32);
         let double = |v: Vec3<f32>| <[f32; 3]>::from(v).map(f64::from);
         e.update(gyro, accel, Some(mag), DT_S);
-        twin.update(double(gyro), double(accel), double(mag), dt_s);
-        // Until the twin has forgotten that the filter starts from its first sample.
+        second.update(double(gyro), double(accel), double(mag), dt_s);
+        // The second filter starts from zero and not from the first sample: wait until this difference has decayed.
         if t < 10.0 {
             continue;
         }
-        crossings += u32::from((twin.angles[0] - last_roll).abs() > 3.0);
-        last_roll = twin.angles[0];
+        crossings += u32::from((second.angles[0] - last_roll).abs() > 3.0);
+        last_roll = second.angles[0];
         let Filters::Euler(filter) = e.filter() else {
-            unreachable!("the paper's filter is in Euler angles")
+            unreachable!("the filter of the paper uses Euler angles")
         };
-        for (ours, exact) in filter.angles().into_iter().zip(twin.angles) {
+        for (ours, exact) in filter.angles().into_iter().zip(second.angles) {
             let error = remainder(f64::from(ours) - exact).abs();
             worst = worst.max(error);
             sum += error * error;
@@ -278,12 +277,12 @@ fn paper_equals_a_filter_in_f64_over_random_motion() {
     let rms = (sum / (3.0 * f64::from(steps))).sqrt();
     std::println!("paper in f32 against f64: {rms:e} rad RMS, {worst:e} rad at most, {crossings} crossings");
     assert!(crossings > 50, "roll passes half a turn {crossings} times");
-    // What f32 costs: 9.6e-7 rad RMS, and 7.3e-6 at most where 1/cos θ is 2.
+    // The measured error of f32: 9.6e-7 rad RMS, and at most 7.3e-6 rad, where 1/cos θ is 2.
     assert!(rms < 1.2e-6 && worst < 9e-6, "{rms:e} {worst:e}");
 }
 
 #[test]
-fn parameters_outside_their_range_are_refused() {
+fn parameters_outside_their_range_are_rejected() {
     for weight in [
         Weight::TimeConstant { tau_s: 0.0 },
         Weight::TimeConstant { tau_s: f32::NAN },
@@ -304,11 +303,11 @@ mod zero {
 
     #[test]
     #[cfg_attr(miri, ignore = "3,000 steps")]
-    fn learns_a_bias_at_rest_and_keeps_it() {
+    fn bias_is_learnt_at_rest_and_kept() {
         let mut zero = GyroZero::default();
         for k in 0..3000_u16 {
-            let wiggle = vec3(0.003, -0.003, 0.003) * if k % 2 == 0 { 1.0 } else { -1.0 };
-            zero.learn(BIAS + wiggle, LEVEL, 0.001);
+            let noise = vec3(0.003, -0.003, 0.003) * if k % 2 == 0 { 1.0 } else { -1.0 };
+            zero.learn(BIAS + noise, LEVEL, 0.001);
             if !(998..=1001).contains(&k) {
                 assert_eq!(zero.zeroed(), k > 1000, "after {k} ms");
             }
@@ -320,7 +319,7 @@ mod zero {
 
     #[test]
     #[cfg_attr(miri, ignore = "6,000 steps")]
-    fn a_turntable_and_a_shaken_vehicle_teach_nothing() {
+    fn turntable_and_shaking_are_not_learnt() {
         let mut zero = GyroZero::default();
         for _ in 0..3000 {
             zero.learn(vec3(0.0, 0.0, 0.5), LEVEL, 0.001);
@@ -348,7 +347,7 @@ mod robust {
         Estimator::new(&EstimatorParams::ROBUST).unwrap()
     }
 
-    /// `seconds` of the same reading, level and pointing north.
+    /// Updates the estimator for `seconds` with constant readings, level and pointing north.
     fn rest(e: &mut Estimator, gyro: Vec3<f32>, seconds: f32, dt_s: f32) {
         for _ in 0..(seconds / dt_s).round() as u32 {
             e.update(gyro, LEVEL, Some(FIELD), dt_s);
@@ -362,12 +361,12 @@ mod robust {
 
     #[test]
     #[cfg_attr(miri, ignore = "seconds of rest at many rates")]
-    fn a_first_rest_shows_the_bias_at_any_rate() {
+    fn first_rest_gives_the_bias_at_any_sample_rate() {
         let bias = vec3(3.0, -2.0, 1.0) * DEGREE;
         for rate_hz in [100.0, 285.7, 1000.0, 8000.0] {
             let mut e = robust();
             rest(&mut e, bias, 1.0, 1.0 / rate_hz);
-            // Nothing is known yet, and the tilt is that of the last fifth of a second.
+            // The bias is not known yet, and the tilt error is that of the last 0.2 s.
             assert!(
                 e.gyro_bias() == Vec3::ZERO && tilt(&e) < 0.25 * 3.6 * DEGREE,
                 "{} deg",
@@ -375,8 +374,8 @@ mod robust {
             );
             rest(&mut e, bias, 3.0, 1.0 / rate_hz);
             let off = (e.gyro_bias() - bias).norm() / DEGREE;
-            // Known to 3 °/s at first: of an error b, T s of rest leave b/(1 + (3/0.1)² T). It takes 1.5 s to be
-            // believed, so T = 2.5 s: 3.74/2251 = 0.0017 °/s.
+            // The initial deviation is 3 °/s: of an error b, T s of rest leave b/(1 + (3/0.1)² T). Rest is detected
+            // after 1.5 s, so T = 2.5 s: 3.74/2251 = 0.0017 °/s.
             assert!((off - 0.0017).abs() < 0.0005, "{rate_hz} Hz: {off} °/s");
             rest(&mut e, bias, 40.0, 1.0 / rate_hz);
             assert!(tilt(&e) < 0.05 * DEGREE && e.heading().abs() < 0.1 * DEGREE, "{rate_hz} Hz: {e:?}");
@@ -385,7 +384,7 @@ mod robust {
 
     #[test]
     #[cfg_attr(miri, ignore = "12,000 steps")]
-    fn at_rest_a_change_of_the_bias_is_followed_with_five_seconds() {
+    fn bias_step_at_rest_is_followed_with_5_s() {
         let mut e = robust();
         let step = 0.5 * DEGREE;
         rest(&mut e, Vec3::ZERO, 60.0, 0.005);
@@ -400,17 +399,18 @@ mod robust {
 
     #[test]
     #[cfg_attr(miri, ignore = "74,000 steps")]
-    fn in_motion_a_bias_leaves_tau_times_itself_of_tilt_and_less_later() {
+    fn bias_in_motion_tilts_by_tau_then_is_learnt() {
         let mut e = robust();
         rest(&mut e, Vec3::ZERO, 10.0, 0.005);
-        e.gyro_zeroed();
+        e.on_gyro_zeroed();
         let bias = 0.2 * DEGREE;
         let mut worst = 0.0_f32;
         for _ in 0..12_000 {
             rest(&mut e, vec3(bias, 0.0, 0.0), 0.005, 0.005);
             worst = worst.max(tilt(&e));
         }
-        // θ = β τ (1 − e^(−t/τ) cos(t/τ)), at most 1 + e^(−3π/4)/√2 = 1.067, and a little less because it is learnt.
+        // θ = β τ (1 − e^(−t/τ) cos(t/τ)) has a maximum of 1 + e^(−3π/4)/√2 = 1.067 times β τ; it is slightly lower
+        // because the bias is learnt.
         assert!(worst > 0.95 * bias * TAU_S && worst < 1.067 * bias * TAU_S, "{} s", worst / bias);
         rest(&mut e, vec3(bias, 0.0, 0.0), 300.0, 0.005);
         assert!((e.gyro_bias().x / bias - 1.0).abs() < 0.1, "{}", e.gyro_bias().x / bias);
@@ -419,9 +419,10 @@ mod robust {
 
     #[test]
     #[cfg_attr(miri, ignore = "5,000 steps of each push")]
-    fn a_push_moves_the_tilt_by_no_more_than_its_speed_over_g_and_tau() {
-        // a for T adds Δv = a T: the bound of the module's documentation, 0.645 Δv/(g τ), is met for T ≪ τ.
-        for (accel, seconds, least) in [(5.0, 0.2, 0.9), (2.0, 1.0, 0.8), (-3.0, 0.5, 0.9)] {
+    fn push_tilts_by_at_most_0_645_dv_over_g_tau() {
+        // An acceleration a for a time T adds Δv = a T. The bound of the module documentation, 0.645 Δv/(g τ), is
+        // reached for T ≪ τ.
+        for (accel, seconds, min_share) in [(5.0, 0.2, 0.9), (2.0, 1.0, 0.8), (-3.0, 0.5, 0.9)] {
             let mut e = robust();
             rest(&mut e, Vec3::ZERO, 20.0, 0.002);
             let mut worst = 0.0_f32;
@@ -432,16 +433,20 @@ mod robust {
                 worst = worst.max(tilt(&e));
             }
             let bound = 0.645 * (accel * seconds).abs() / (G * TAU_S);
-            // 3 % for the bias that it takes it for, for a while.
-            assert!(worst <= 1.03 * bound && worst > least * bound, "{accel} {seconds}: {worst}, {bound}");
+            // 3 % more, because the filter attributes a part to the bias for a while.
+            assert!(
+                worst <= 1.03 * bound && worst > min_share * bound,
+                "{accel} {seconds}: {worst}, {bound}"
+            );
         }
     }
 
     #[test]
     #[cfg_attr(miri, ignore = "5,000 steps")]
-    fn there_and_back_moves_the_tilt_by_the_way_and_not_by_the_speed() {
-        // 3 m/s² for half a second, and back: 0.75 m. For times ≪ τ it is the slope of the impulse response that
-        // counts, at most 2/τ²: 2 · 0.75 m/(g τ²) = 0.35°. A complementary filter with this τ is off by 1.7° in between.
+    fn opposite_pushes_tilt_by_distance_not_speed() {
+        // 3 m/s² for 0.5 s, then −3 m/s² for 0.5 s: a distance of 0.75 m. For times ≪ τ the slope of the impulse
+        // response counts, at most 2/τ²: 2 · 0.75 m/(g τ²) = 0.35°. A complementary filter with this τ has an error
+        // of 1.7° in between.
         let mut e = robust();
         rest(&mut e, Vec3::ZERO, 20.0, 0.002);
         let mut worst = 0.0_f32;
@@ -456,7 +461,7 @@ mod robust {
 
     #[test]
     #[cfg_attr(miri, ignore = "10,000 steps of each rate")]
-    fn a_slow_steady_turn_is_no_rest() {
+    fn slow_steady_turn_is_not_taken_for_rest() {
         for rate_deg_s in [3.0_f32, 6.0, 12.0] {
             let mut e = robust();
             let rate = rate_deg_s * DEGREE;
@@ -471,40 +476,40 @@ mod robust {
 
     #[test]
     #[cfg_attr(miri, ignore = "minutes of rest")]
-    fn a_start_in_a_gust_does_not_spoil_the_field() {
-        // The first sample has 2 m/s² of wind in it: 11.5° of tilt, and 8 µT between level and vertical.
+    fn start_in_a_gust_does_not_change_the_field() {
+        // The first sample contains 2 m/s² of wind: 11.5° of tilt, which moves 8 µT between horizontal and vertical.
         let mut e = robust();
         e.update(Vec3::ZERO, LEVEL + vec3(0.0, 2.0, 0.0), Some(FIELD), 0.0);
         assert!(tilt(&e) > 11.0 * DEGREE);
         rest(&mut e, vec3(0.0, 0.0, 0.02 * DEGREE), 30.0, 0.005);
-        // Had the field been given up for another, the heading would have drifted by 0.6°.
+        // If the filter had replaced the field, the heading would have drifted by 0.6°.
         assert!(tilt(&e) < 0.1 * DEGREE && e.heading().abs() < 0.3 * DEGREE, "{e:?}");
     }
 
     #[test]
     #[cfg_attr(miri, ignore = "12,000 steps")]
-    fn a_magnetic_disturbance_turns_nothing_until_it_is_the_place() {
+    fn magnetic_disturbance_is_ignored_for_a_minute() {
         let mut e = robust();
         rest(&mut e, Vec3::ZERO, 30.0, 0.01);
-        let other = FIELD + vec3(0.0, 15.0, 10.0);
+        let disturbed = FIELD + vec3(0.0, 15.0, 10.0);
         for _ in 0..5900 {
-            e.update(Vec3::ZERO, LEVEL, Some(other), 0.01);
+            e.update(Vec3::ZERO, LEVEL, Some(disturbed), 0.01);
         }
         assert!(e.heading().abs() < 1e-4, "{}", e.heading());
         for _ in 0..6000 {
-            e.update(Vec3::ZERO, LEVEL, Some(other), 0.01);
+            e.update(Vec3::ZERO, LEVEL, Some(disturbed), 0.01);
         }
         assert!((e.heading() + 15.0_f32.atan2(25.0)).abs() < 0.01, "{}", e.heading());
     }
 
     #[test]
     #[cfg_attr(miri, ignore = "24,000 steps")]
-    fn a_field_that_turns_with_the_sensor_is_learnt() {
+    fn field_of_the_sensor_itself_is_learnt() {
         let mut e = robust();
-        let own = vec3(1.5, -1.0, 1.0);
+        let offset = vec3(1.5, -1.0, 1.0);
         let mut worst = 0.0_f32;
         for k in 0..24_000_u16 {
-            // 120 s of turns about all axes, each back and forth.
+            // 120 s of turns about all axes, back and forth.
             let t = f32::from(k) * 0.005;
             let angles = [1.0 * (0.9 * t).sin(), 0.8 * (1.3 * t).sin(), 2.0 * (0.7 * t).sin()];
             let ahead = [0.9 * (0.9 * t).cos(), 1.04 * (1.3 * t).cos(), 1.4 * (0.7 * t).cos()];
@@ -516,31 +521,31 @@ mod robust {
             );
             let q = euler(angles[0], angles[1], angles[2]);
             let (accel, mag) = at_rest(q);
-            e.update(gyro, accel, Some(mag + own), if k == 0 { 0.0 } else { 0.005 });
+            e.update(gyro, accel, Some(mag + offset), if k == 0 { 0.0 } else { 0.005 });
             if t > 100.0 {
                 worst = worst.max(apart(e.attitude(), q));
             }
         }
-        // 1.5 µT of 25 are 3.4°.
+        // Without the estimate 1.5 µT of 25 µT is an error of 3.4°.
         assert!(worst < 1.2 * DEGREE, "{} deg", worst / DEGREE);
     }
 
     #[test]
     #[cfg_attr(miri, ignore = "20,000 steps")]
-    fn without_a_magnetometer_the_tilt_is_the_same() {
-        let (mut six, mut nine) = (robust(), robust());
+    fn tilt_is_the_same_without_a_magnetometer() {
+        let (mut without_mag, mut with_mag) = (robust(), robust());
         for k in 0..20_000_u16 {
             let roll = 0.5 * (f32::from(k) * 0.001).sin();
             let gyro = vec3(0.5 * (f32::from(k) * 0.001).cos() * 0.2, 0.0, 0.0);
             let (accel, mag) = at_rest(euler(roll, 0.1, 0.4));
-            six.update(gyro, accel, None, 0.005);
-            nine.update(gyro, accel, Some(mag), 0.005);
+            without_mag.update(gyro, accel, None, 0.005);
+            with_mag.update(gyro, accel, Some(mag), 0.005);
         }
-        assert!((six.down() - nine.down()).norm() < 5e-3);
+        assert!((without_mag.down() - with_mag.down()).norm() < 5e-3);
     }
 
-    /// A reading that may be anything, or a plausible one.
-    fn anything(scale: f32) -> impl Strategy<Value = Vec3<f32>> {
+    /// A plausible reading, or one with any values.
+    fn any_reading(scale: f32) -> impl Strategy<Value = Vec3<f32>> {
         let number = prop_oneof![
             4 => -scale..scale,
             1 => any::<f32>(),
@@ -551,9 +556,9 @@ mod robust {
 
     proptest! {
         #[test]
-        fn whatever_comes_the_state_is_finite_and_a_rotation(
+        fn any_samples_leave_a_finite_unit_attitude(
             samples in prop::collection::vec(
-                (anything(40.0), anything(160.0), prop::option::of(anything(60.0)),
+                (any_reading(40.0), any_reading(160.0), prop::option::of(any_reading(60.0)),
                     prop_oneof![4 => 0.0..0.02_f32, 1 => any::<f32>()]),
                 1..if cfg!(miri) { 20 } else { 200 },
             ),
@@ -570,7 +575,7 @@ mod robust {
 
         #[test]
         #[cfg_attr(miri, ignore = "12,000 steps of each case")]
-        fn every_attitude_is_reached_from_every_other(
+        fn filter_converges_between_any_two_attitudes(
             from in [-PI..PI, -1.5..1.5_f32, -PI..PI], to in [-PI..PI, -1.5..1.5_f32, -PI..PI],
         ) {
             let mut e = robust();
@@ -581,7 +586,7 @@ mod robust {
             for _ in 0..12_000 {
                 e.update(Vec3::ZERO, accel, Some(mag), 0.01);
             }
-            // 120 s: the field of the first sample may not be the place's, and is given up after 60.
+            // 120 s: the first sample may give a wrong field, which is replaced after 60 s.
             prop_assert!(apart(e.attitude(), q) < 0.5 * DEGREE, "{} deg", apart(e.attitude(), q) / DEGREE);
         }
     }

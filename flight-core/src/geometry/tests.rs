@@ -1,11 +1,11 @@
-//! The algebra against its own laws, in f64, where they hold to rounding; and what has a closed form against it.
+//! Tests of the algebraic laws in f64, where they hold to rounding, and of operations with a closed form.
 
 use super::*;
 use core::f64::consts::PI;
 use proptest::num::f32::ANY;
 use proptest::prelude::*;
 
-/// Rounding in a handful of products of numbers up to 10³.
+/// Bound for the rounding of a few products of numbers up to 10³.
 const CLOSE: f64 = 1e-9;
 
 fn vector() -> impl Strategy<Value = Vec3<f64>> {
@@ -16,7 +16,7 @@ fn matrix() -> impl Strategy<Value = Mat3<f64>> {
     [vector(), vector(), vector()].prop_map(|rows| Mat3 { rows })
 }
 
-/// Any rotation: an axis, and an angle up to a whole turn.
+/// Any rotation: an axis, and an angle from −π to π.
 fn rotation() -> impl Strategy<Value = (Vec3<f64>, f64)> {
     (vector(), -PI..PI)
         .prop_filter("an axis", |(axis, _)| axis.norm() > 0.1)
@@ -41,7 +41,7 @@ fn turned((axis, angle): (Vec3<f64>, f64), v: Vec3<f64>) -> Vec3<f64> {
     v * cos + axis.cross(v) * sin + axis * (axis.dot(v) * (1.0 - cos))
 }
 
-/// The rotations about one axis, written down from the definition.
+/// The rotations about one axis, from the definition.
 fn about_x(angle: f64) -> Mat3<f64> {
     let (s, c) = angle.sin_cos();
     Mat3::from_rows([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
@@ -62,12 +62,12 @@ fn double(v: Vec3<f32>) -> Vec3<f64> {
 }
 
 #[test]
-fn units_and_their_products() {
+fn products_of_unit_vectors_and_quaternions() {
     let y = vec3(0.0, 1.0, 0.0);
     assert_eq!([Vec3::X.cross(y), y.cross(Vec3::Z), Vec3::Z.cross(Vec3::X)], [Vec3::Z, Vec3::X, y]);
     assert_eq!(vec3(2.0_f32, 3.0, 6.0).norm(), 7.0);
     assert_eq!(Mat3::from_rows([[0.0, 1.0, 2.0], [3.0, 4.0, 5.0], [6.0, 7.0, 8.0]])[1], vec3(3.0, 4.0, 5.0));
-    // i j = k, and so on around: Hamilton's, not the other one.
+    // i j = k, j k = i, k i = j: the Hamilton convention.
     let [i, j, k] = [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0_f64)]
         .map(|(x, y, z)| Quaternion::new(0.0, x, y, z));
     assert_eq!([i * j, j * k, k * i], [k, i, j]);
@@ -78,7 +78,7 @@ fn units_and_their_products() {
 
 proptest! {
     #[test]
-    fn vectors(a in vector(), b in vector(), c in vector(), k in -10.0..10.0_f64) {
+    fn vector_operations_obey_their_laws(a in vector(), b in vector(), c in vector(), k in -10.0..10.0_f64) {
         let [ax, ay, az] = <[f64; 3]>::from(a);
         let [bx, by, bz] = <[f64; 3]>::from(b);
         prop_assert_eq!(<[f64; 3]>::from(a + b), [ax + bx, ay + by, az + bz]);
@@ -90,7 +90,7 @@ proptest! {
         sum += b;
         prop_assert_eq!(sum, a + b);
 
-        // Lagrange: |a × b|² + (a · b)² = |a|² |b|². And the triple product is the same all around.
+        // Lagrange: |a × b|² + (a · b)² = |a|² |b|². The triple product is invariant under cyclic permutation.
         let cross = a.cross(b);
         prop_assert!((cross.dot(cross) + a.dot(b).powi(2) - (a.norm() * b.norm()).powi(2)).abs() < CLOSE);
         prop_assert!(cross.dot(a).abs() < CLOSE && cross.dot(b).abs() < CLOSE);
@@ -99,22 +99,22 @@ proptest! {
     }
 
     #[test]
-    fn matrices(a in matrix(), b in matrix(), v in vector(), k in -10.0..10.0_f64) {
+    fn matrix_operations_obey_their_laws(a in matrix(), b in matrix(), v in vector(), k in -10.0..10.0_f64) {
         prop_assert!((a.determinant() * b.determinant() - (a * b).determinant()).abs() < 1e-4);
         prop_assert!((a.transpose().determinant() - a.determinant()).abs() < CLOSE);
         prop_assert!((a * b * v - a * (b * v)).norm() < 1e-8);
         prop_assert!(near((a * k) * v, (a * v) * k));
         prop_assert_eq!(Mat3::IDENTITY * a, a);
         prop_assert_eq!(a.transpose().transpose(), a);
-        // (A v) · w = v · (Aᵀ w), for the unit vectors: the elements one by one.
+        // (A v) · w = v · (Aᵀ w), here for the unit vectors: each element of the transpose.
         for (row, unit) in Mat3::<f64>::IDENTITY.rows.into_iter().enumerate() {
             prop_assert_eq!(a.transpose()[row], a * unit);
         }
     }
 
-    /// Three ways to turn a vector are one, and it is Rodrigues'.
+    /// Three ways to rotate a vector give the result of Rodrigues' formula.
     #[test]
-    fn a_quaternion_turns_about_its_axis_by_its_angle(r in rotation(), v in vector()) {
+    fn quaternion_rotates_about_its_axis_by_its_angle(r in rotation(), v in vector()) {
         let q = quaternion(r);
         prop_assert!(near(q.rotate(v), turned(r, v)));
         prop_assert!(near(q.to_matrix() * v, turned(r, v)));
@@ -125,12 +125,12 @@ proptest! {
     }
 
     #[test]
-    fn the_product_of_two_turns_is_one_after_the_other(p in rotation(), q in rotation(), v in vector()) {
+    fn product_of_rotations_applies_the_right_one_first(p in rotation(), q in rotation(), v in vector()) {
         prop_assert!(near((quaternion(p) * quaternion(q)).rotate(v), turned(p, turned(q, v))));
     }
 
     #[test]
-    fn euler_angles_there_and_back(roll in -PI..PI, pitch in -0.5 * PI..0.5 * PI, yaw in -PI..PI) {
+    fn euler_angles_convert_to_a_quaternion_and_back(roll in -PI..PI, pitch in -0.5 * PI..0.5 * PI, yaw in -PI..PI) {
         let half = |angle: f64| (0.5 * angle).sin_cos();
         let q = Quaternion::from_half_angles(half(roll), half(pitch), half(yaw));
         let expected = about_z(yaw) * about_y(pitch) * about_x(roll);
@@ -140,31 +140,32 @@ proptest! {
         let found = Quaternion::new(w, x, y, z).to_euler();
         let [roll, pitch, yaw] = [found.roll, found.pitch, found.yaw].map(f64::from);
         let back = about_z(yaw) * about_y(pitch) * about_x(roll);
-        // Roll and yaw are angles of points that are cos θ from the origin, and have its share of the rounding.
+        // Roll and yaw are angles of points at the distance cos θ from the origin, so their rounding error grows by
+        // 1/cos θ.
         for row in 0..3 {
             prop_assert!((back[row] - expected[row]).norm() < 2e-6 / pitch.cos().abs(), "{:?}", found);
         }
     }
 
-    /// In f64 with the standard library's sine, over the whole range of a gyroscope and beyond.
+    /// Against the standard library in f64, over the whole range of a gyroscope and beyond.
     #[test]
-    fn a_rotation_vector_is_axis_times_angle(
+    fn rotation_vector_is_axis_times_angle(
         (axis, _) in rotation(), angle in prop_oneof![0.0..0.6_f64, 0.45..0.5, 0.0..7.0, 0.0..1000.0, Just(0.0)],
     ) {
         let [x, y, z] = <[f64; 3]>::from(axis * angle).map(|part| part as f32);
         let q = Quaternion::from_rotation_vector(vec3(x, y, z));
-        // The argument as it was rounded.
+        // The rounded argument.
         let r = double(vec3(x, y, z));
         let h = 0.5 * r.norm();
         let expected = if h > 0.0 { r * (0.5 * h.sin() / h) } else { Vec3::ZERO };
-        // The half angle has a rounding of its own.
+        // The half angle adds its own rounding error.
         let bound = 2e-7 + 1.2e-7 * h;
         prop_assert!((double(q.v) - expected).norm() < bound && (f64::from(q.w) - h.cos()).abs() < bound, "{:?}", q);
     }
 
-    /// Any four numbers whose squares are numbers give a unit quaternion along them; zero has no direction.
+    /// Any four numbers whose squares are in range give a unit quaternion in their direction.
     #[test]
-    fn normalized(parts in prop::array::uniform4(prop_oneof![-1e18..1e18_f32, -1.0..1.0_f32, -1e-15..1e-15_f32])) {
+    fn normalized_is_a_unit_quaternion_in_direction(parts in prop::array::uniform4(prop_oneof![-1e18..1e18_f32, -1.0..1.0_f32, -1e-15..1e-15_f32])) {
         let [w, x, y, z] = parts;
         let q = Quaternion::new(w, x, y, z);
         prop_assume!(q.norm_squared() > 1e-36);
@@ -176,12 +177,12 @@ proptest! {
         }
     }
 
-    /// What is no attitude gives no angles, or angles in range: never anything else.
+    /// Quaternions that are no attitude give NaN or angles in range.
     #[test]
-    fn angles_of_anything(parts in prop::array::uniform4(ANY)) {
+    fn euler_angles_of_any_quaternion_are_nan_or_in_range(parts in prop::array::uniform4(ANY)) {
         let [w, x, y, z] = parts;
         let angles = Quaternion::new(w, x, y, z).to_euler();
-        let within = |angle: f32, most: f32| angle.is_nan() || angle.abs() <= most;
+        let within = |angle: f32, max: f32| angle.is_nan() || angle.abs() <= max;
         prop_assert!(within(angles.roll, core::f32::consts::PI), "{:?}", angles);
         prop_assert!(within(angles.yaw, core::f32::consts::PI), "{:?}", angles);
         prop_assert!(within(angles.pitch, core::f32::consts::FRAC_PI_2), "{:?}", angles);
@@ -189,7 +190,7 @@ proptest! {
 }
 
 #[test]
-fn zero_has_no_direction() {
+fn normalized_zero_is_nan() {
     let zero = Quaternion::<f32>::IDENTITY.scaled(0.0);
     assert!(zero.normalized().to_array().iter().all(|part| part.is_nan()));
     assert_eq!(Quaternion::from_rotation_vector(Vec3::ZERO), Quaternion::IDENTITY);

@@ -1,14 +1,14 @@
-//! Whether the link to the pilot holds.
+//! Detection of link loss between pilot and vehicle.
 
 use crate::sample::{LinkStatus, RcFrame};
 
-/// Age of the last frame at which the link counts as lost, µs: 25 frames of the slowest receivers (50 Hz).
+/// Age of the last frame above which the link counts as lost, µs: 25 frames of the slowest receivers (50 Hz).
 pub const RC_LOST_US: u32 = 500_000;
-/// How long frames must have come again before the link counts as back, µs. Noise on the receiver's port that
-/// happens to look like a frame does not go on for so long.
+/// Time for which frames must have arrived again before the link counts as restored, µs. Noise on the receiver's port
+/// that looks like a frame does not last that long.
 pub const RC_BACK_US: u32 = 500_000;
 
-/// The age of the last frame, and since when frames have come.
+/// The age of the last frame, and the time for which frames have arrived without a gap.
 #[derive(Clone, Copy, Debug)]
 pub struct Link {
     age_us: u32,
@@ -16,23 +16,24 @@ pub struct Link {
 }
 
 impl Default for Link {
-    /// Before the first frame: lost.
+    /// The state before the first frame: lost.
     fn default() -> Self {
         Self { age_us: u32::MAX, good_us: 0 }
     }
 }
 
 impl Link {
-    /// Takes what arrived in a step that comes `dt_us` after the last. Returns the frame if its sticks are the
-    /// pilot's: the link holds, and the frame is no repetition and no substitute.
+    /// Updates the link with the frame of a step, if there is one; the step comes `dt_us` (µs) after the last one.
+    /// Returns the frame if its sticks are valid: the link is not lost, and the frame is neither a repetition nor a
+    /// substitute.
     #[inline]
-    pub fn take<'a>(&mut self, frame: Option<&'a RcFrame>, dt_us: u32) -> Option<&'a RcFrame> {
+    pub fn update<'a>(&mut self, frame: Option<&'a RcFrame>, dt_us: u32) -> Option<&'a RcFrame> {
         self.age_us = self.age_us.saturating_add(dt_us);
         self.good_us = self.good_us.saturating_add(dt_us);
         let fresh = match frame {
             Some(frame) => match frame.status {
                 LinkStatus::Good => Some(frame),
-                // The receiver repeats the last frame that it got.
+                // The receiver repeats the last frame that it received.
                 LinkStatus::FrameLost => None,
                 LinkStatus::Failsafe => {
                     *self = Self::default();
@@ -42,7 +43,7 @@ impl Link {
             None => None,
         };
         if self.age_us > RC_LOST_US {
-            // What comes after a loss begins anew.
+            // After a loss the time without a gap starts at 0.
             self.good_us = 0;
         }
         if fresh.is_some() {
@@ -51,7 +52,7 @@ impl Link {
         fresh.filter(|_| !self.lost())
     }
 
-    /// Whether the pilot is out of reach.
+    /// Returns whether the link is lost.
     #[inline(always)]
     pub fn lost(&self) -> bool {
         self.age_us > RC_LOST_US || self.good_us < RC_BACK_US
@@ -73,10 +74,10 @@ mod tests {
     };
 
     proptest! {
-        /// From the times of the good frames alone: the link holds while there is no gap of more than half a second
-        /// in them, from a frame half a second ago up to now.
+        /// Computed from the times of the good frames alone: the link holds if good frames with gaps of at most 0.5 s
+        /// reach from 0.5 s ago up to now.
         #[test]
-        fn a_link_is_half_a_second_of_frames_without_a_gap(
+        fn link_holds_after_half_a_second_without_a_gap(
             past in prop::collection::vec((
                 prop::option::weighted(0.6, prop::sample::select(
                     &[Good, Good, Good, Good, LinkStatus::FrameLost, LinkStatus::Failsafe][..],
@@ -87,39 +88,39 @@ mod tests {
             let mut link = Link::default();
             prop_assert!(link.lost());
             let mut now_us = 0_u64;
-            // The first and the last of the frames that hang together.
-            let mut chain: Option<(u64, u64)> = None;
+            // Times of the first and the last frame of the sequence without a gap.
+            let mut sequence: Option<(u64, u64)> = None;
             for (status, dt_us) in past {
                 now_us += u64::from(dt_us);
                 let frame = status.map(|status| RcFrame { status, ..FRAME });
-                let taken = link.take(frame.as_ref(), dt_us);
+                let valid = link.update(frame.as_ref(), dt_us);
                 if status == Some(LinkStatus::Failsafe) {
-                    chain = None;
+                    sequence = None;
                 }
-                chain = chain.filter(|(_, last_us)| now_us - last_us <= 500_000);
+                sequence = sequence.filter(|(_, last_us)| now_us - last_us <= 500_000);
                 if status == Some(LinkStatus::Good) {
-                    chain = Some((chain.map_or(now_us, |(first_us, _)| first_us), now_us));
+                    sequence = Some((sequence.map_or(now_us, |(first_us, _)| first_us), now_us));
                 }
-                let holds = chain.is_some_and(|(first_us, _)| now_us - first_us >= 500_000);
+                let holds = sequence.is_some_and(|(first_us, _)| now_us - first_us >= 500_000);
                 prop_assert_eq!(link.lost(), !holds);
-                prop_assert_eq!(taken, frame.as_ref().filter(|frame| holds && frame.status == LinkStatus::Good));
+                prop_assert_eq!(valid, frame.as_ref().filter(|frame| holds && frame.status == LinkStatus::Good));
             }
         }
     }
 
-    /// Runs milliseconds; a frame of this status every 20th, and none for `None`. Returns whether it is lost at the
-    /// end, and how many frames were the pilot's.
+    /// Runs `ms` steps of a millisecond, with a frame of this status in every 20th one; `None` sends no frames.
+    /// Returns whether the link is lost at the end, and the number of frames with valid sticks.
     fn run(link: &mut Link, status: Option<LinkStatus>, ms: u32) -> (bool, u32) {
-        let mut sticks = 0;
+        let mut valid = 0;
         for t in 0..ms {
             let frame = status.filter(|_| t % 20 == 0).map(|status| RcFrame { status, ..FRAME });
-            sticks += u32::from(link.take(frame.as_ref(), 1_000).is_some());
+            valid += u32::from(link.update(frame.as_ref(), 1_000).is_some());
         }
-        (link.lost(), sticks)
+        (link.lost(), valid)
     }
 
     #[test]
-    fn a_link_holds_after_half_a_second_of_frames() {
+    fn link_holds_after_half_a_second_of_frames() {
         let mut link = Link::default();
         assert_eq!(run(&mut link, None, 2_000), (true, 0));
         assert_eq!(run(&mut link, Some(LinkStatus::Good), 500), (true, 0));
@@ -127,11 +128,11 @@ mod tests {
     }
 
     #[test]
-    fn it_is_lost_half_a_second_after_the_last_frame_and_back_half_a_second_after_the_next() {
+    fn link_is_lost_and_restored_after_half_a_second() {
         for silence in [None, Some(LinkStatus::FrameLost)] {
             let mut link = Link::default();
             run(&mut link, Some(LinkStatus::Good), 1_001);
-            // The last frame came in the last step.
+            // The last frame arrived in the last step.
             assert_eq!(run(&mut link, silence, 500), (false, 0));
             assert_eq!(run(&mut link, silence, 1), (true, 0));
             assert_eq!(run(&mut link, Some(LinkStatus::Good), 500), (true, 0));
@@ -140,7 +141,7 @@ mod tests {
     }
 
     #[test]
-    fn a_receiver_that_says_so_is_believed_at_once() {
+    fn reported_failsafe_loses_the_link_at_once() {
         let mut link = Link::default();
         run(&mut link, Some(LinkStatus::Good), 1_000);
         assert_eq!(run(&mut link, Some(LinkStatus::Failsafe), 1), (true, 0));
@@ -149,7 +150,7 @@ mod tests {
     }
 
     #[test]
-    fn single_frames_far_apart_never_make_a_link() {
+    fn single_frames_never_restore_the_link() {
         let mut link = Link::default();
         for _ in 0..100 {
             assert_eq!(run(&mut link, Some(LinkStatus::Good), 1), (true, 0));

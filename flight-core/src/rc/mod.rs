@@ -1,15 +1,15 @@
-//! From receiver ticks to what the pilot wants.
+//! Conversion of receiver ticks into stick positions, flight mode and requests.
 //!
 //! | channel | low | centre | high |
 //! |---|---|---|---|
-//! | throttle | no thrust | half of the thrust | all of it |
+//! | throttle | no thrust | half thrust | full thrust |
 //! | roll | left | level | right |
 //! | pitch | back: nose up | level | forward: nose down |
 //! | yaw | left: anticlockwise from above | hold heading | right: clockwise |
-//! | arm switch ([`ArmBy::Switch`]) | stop the motors | – | let them turn |
+//! | arm switch ([`ArmBy::Switch`]) | disarm | – | arm |
 //! | mode switch | [`FlightMode::Angle`] | the same | [`FlightMode::Rate`] |
 //!
-//! [`link`] says whether the pilot is there at all, [`request`] what the pilot asks of the arm state.
+//! [`link`] detects link loss; [`request`] detects requests to arm and disarm.
 
 pub mod link;
 pub mod request;
@@ -21,24 +21,27 @@ use crate::sample::{LinkStatus, RcFrame};
 pub use link::Link;
 pub use request::{ArmBy, Requests};
 
-/// Which of a receiver's channels is what, counted from 0.
+/// Assignment of the receiver's channels, counted from 0 to 15.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct ChannelMap {
-    /// Throttle, roll, pitch, yaw.
+    /// Channels of throttle, roll, pitch and yaw.
     pub sticks: [u8; 4],
-    /// Arm switch.
+    /// Channel of the arm switch.
     pub arm: u8,
-    /// Mode switch.
+    /// Channel of the mode switch.
     pub mode: u8,
 }
 
 impl ChannelMap {
-    /// Roll, pitch, throttle, yaw, arm, mode: "AETR", and the arm switch where ExpressLRS wants it.
+    /// Order roll, pitch, throttle, yaw, arm, mode ("AETR"), with the arm switch on channel 5 (index 4), where ExpressLRS
+    /// expects it.
     pub const AETR: Self = Self { sticks: [2, 0, 1, 3], arm: 4, mode: 5 };
 
+    /// Checks the channels.
+    ///
     /// # Errors
-    /// A channel that a receiver does not have.
+    /// Returns the first channel above 15.
     pub(crate) fn validate(&self) -> Result<(), ConfigError> {
         for channel in self.sticks.into_iter().chain([self.arm, self.mode]) {
             check("rc.channels", f32::from(channel), 0.0, 15.0)?;
@@ -46,9 +49,9 @@ impl ChannelMap {
         Ok(())
     }
 
-    /// The frame in a receiver's channels (ticks).
+    /// Returns the frame that a receiver's 16 channels (ticks) contain.
     pub fn frame(&self, channels: &[u16; 16], status: LinkStatus) -> RcFrame {
-        // The mask keeps an index in range without a branch; `validate` has seen to it that it changes nothing.
+        // The mask bounds the index without a branch. It changes no channel that `validate` accepts.
         let ticks = |channel: u8| channels[usize::from(channel & 15)];
         RcFrame {
             channels: self.sticks.map(ticks),
@@ -59,18 +62,18 @@ impl ChannelMap {
     }
 }
 
-/// What the roll and pitch sticks command.
+/// The quantity that the roll and pitch sticks command.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum FlightMode {
-    /// An angle: sticks centred, the vehicle levels itself.
+    /// An angle: with centred sticks the vehicle returns to level.
     #[default]
     Angle,
-    /// A rate: sticks centred, the vehicle stays as it is.
+    /// A rate: with centred sticks the vehicle keeps its attitude.
     Rate,
 }
 
 impl FlightMode {
-    /// What the mode switch says.
+    /// Returns the mode that the mode switch of a frame selects.
     pub fn from_frame(frame: &RcFrame) -> Self {
         if frame.mode_switch > request::SWITCH_ON_TICKS { Self::Rate } else { Self::Angle }
     }
@@ -83,26 +86,27 @@ pub const CENTRE_TICKS: u16 = 992;
 /// Tick of a stick at its high end (2,012 µs).
 pub const HIGH_TICKS: u16 = 1811;
 
-/// Stick positions. A transmitter's extended end points (beyond 172 and 1811) read as full deflection.
+/// Stick positions. Extended end points of a transmitter (ticks beyond 172 and 1811) read as full deflection.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Sticks {
-    /// 0 to 1.
+    /// Throttle, 0 to 1.
     pub throttle: f32,
-    /// −1 (left) to 1 (right).
+    /// Roll, −1 (left) to 1 (right).
     pub roll: f32,
-    /// −1 (nose up) to 1 (nose down).
+    /// Pitch, −1 (nose up) to 1 (nose down).
     pub pitch: f32,
-    /// −1 (anticlockwise from above) to 1 (clockwise).
+    /// Yaw, −1 (anticlockwise seen from above) to 1 (clockwise).
     pub yaw: f32,
 }
 
 impl Sticks {
-    /// Reads a frame.
+    /// Returns the stick positions of a frame.
     pub fn from_frame(frame: &RcFrame) -> Self {
         const SPAN: f32 = (HIGH_TICKS - LOW_TICKS) as f32;
         const HALF_SPAN: f32 = (HIGH_TICKS - CENTRE_TICKS) as f32;
         let [throttle, roll, pitch, yaw] = frame.channels.map(|t| i32::from(t.clamp(LOW_TICKS, HIGH_TICKS)));
-        // 172 is 820 ticks below the centre, 1811 is 819 above: full low stick reads −1, not −1.001.
+        // 172 is 820 ticks below the centre, 1811 is 819 above it. The limit makes full low stick −1 instead of
+        // −1.001.
         let centred = |ticks: i32| max((ticks - i32::from(CENTRE_TICKS)) as f32 / HALF_SPAN, -1.0);
         Self {
             throttle: (throttle - i32::from(LOW_TICKS)) as f32 / SPAN,
@@ -112,13 +116,13 @@ impl Sticks {
         }
     }
 
-    /// Whether the throttle counts as low.
+    /// Returns whether the throttle is low: below 5 %.
     #[inline(always)]
     pub fn throttle_is_low(&self) -> bool {
         self.throttle < LOW_THROTTLE
     }
 
-    /// What the sticks ask for by where they are held.
+    /// Returns the gesture that the stick positions form.
     pub fn gesture(&self) -> Gesture {
         if !self.throttle_is_low() {
             Gesture::None
@@ -132,15 +136,15 @@ impl Sticks {
     }
 }
 
-/// Below this the throttle counts as low.
+/// Throttle below which it counts as low.
 const LOW_THROTTLE: f32 = 0.05;
-/// Beyond this the yaw stick counts as fully deflected.
+/// Deflection beyond which the yaw stick counts as fully deflected.
 const FULL_YAW: f32 = 0.9;
 
-/// A wish that the pilot expresses with both sticks.
+/// A stick position that requests arming or disarming.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Gesture {
-    /// Nothing but flying.
+    /// No request.
     #[default]
     None,
     /// Throttle low, yaw full right.
@@ -155,10 +159,10 @@ mod tests {
     use proptest::prelude::*;
 
     proptest! {
-        /// Any ticks, also such as no receiver sends: within range, a straight line on either side of the centre, and
-        /// full deflection beyond the ends.
+        /// For any ticks: inside the range a straight line on either side of the centre, beyond the ends full
+        /// deflection.
         #[test]
-        fn sticks_of_any_ticks(
+        fn any_ticks_give_positions_in_range(
             channels in prop::array::uniform4(prop_oneof![
                 0..=2047_u16, any::<u16>(), prop::sample::select(&[172, 992, 1811, 253, 254, 1729, 1730][..]),
             ]),
@@ -167,7 +171,7 @@ mod tests {
             let frame = RcFrame { channels, arm_switch: 0, mode_switch, status: LinkStatus::Good };
             let sticks = Sticks::from_frame(&frame);
             let line = |ticks: u16, low: f64, high: f64| {
-                // From `low` to 1 over the upper half, and the same slope below, but not below `low`.
+                // From 0 to 1 over the upper half; below the centre the same slope, limited to `low`.
                 let at = f64::from(ticks.clamp(172, 1811));
                 if high == 1811.0 - 172.0 { (at - 172.0) / high } else { ((at - 992.0) / high).max(low) }
             };
@@ -176,7 +180,7 @@ mod tests {
             for (ours, ticks) in [sticks.roll, sticks.pitch, sticks.yaw].into_iter().zip(&channels[1..]) {
                 prop_assert!(near(ours, line(*ticks, -1.0, 819.0)), "{}: {}", ticks, ours);
             }
-            // 5 % of 1,639 are 81.95 ticks, 90 % of 819 are 737.1.
+            // 5 % of 1,639 is 81.95 ticks, 90 % of 819 is 737.1 ticks.
             let low = channels[0] < 254;
             prop_assert_eq!(sticks.throttle_is_low(), low);
             let gesture = match channels[3] {
@@ -189,18 +193,18 @@ mod tests {
             prop_assert_eq!(FlightMode::from_frame(&frame), if rate { FlightMode::Rate } else { FlightMode::Angle });
         }
 
-        /// Any map gives a frame; one of channels that a receiver does not have is refused.
+        /// Any valid map selects its channels; a map with a channel above 15 is rejected.
         #[test]
-        fn maps_of_any_channels(
+        fn any_channel_map_selects_or_is_rejected(
             sticks in prop::array::uniform4(0..20_u8), arm in 0..20_u8, mode in any::<u8>(),
             channels in prop::array::uniform16(any::<u16>()),
         ) {
             let map = ChannelMap { sticks, arm, mode };
             let all = sticks.into_iter().chain([arm, mode]);
-            let good = all.clone().all(|channel| channel < 16);
-            prop_assert_eq!(map.validate().is_ok(), good);
+            let valid = all.clone().all(|channel| channel < 16);
+            prop_assert_eq!(map.validate().is_ok(), valid);
             let frame = map.frame(&channels, LinkStatus::Good);
-            if good {
+            if valid {
                 let ticks: std::vec::Vec<u16> = all.map(|channel| channels[usize::from(channel)]).collect();
                 prop_assert_eq!(&ticks[..4], &frame.channels[..]);
                 prop_assert_eq!(&ticks[4..], &[frame.arm_switch, frame.mode_switch][..]);
@@ -209,7 +213,7 @@ mod tests {
     }
 
     #[test]
-    fn ends_and_centre() {
+    fn sticks_at_ends_and_centre() {
         let frame = |channels| RcFrame {
             channels,
             arm_switch: LOW_TICKS,
@@ -227,7 +231,7 @@ mod tests {
     }
 
     #[test]
-    fn a_gesture_is_beyond_its_limits_and_not_at_them() {
+    fn gesture_needs_sticks_beyond_its_limits() {
         let sticks = |throttle, yaw| Sticks { throttle, yaw, ..Sticks::default() };
         for (throttle, yaw, gesture) in [
             (0.05, 1.0, Gesture::None),
@@ -244,7 +248,7 @@ mod tests {
     }
 
     #[test]
-    fn channels_of_a_receiver() {
+    fn aetr_selects_channels_and_switches() {
         let mut channels = [0; 16];
         for (index, channel) in channels.iter_mut().enumerate() {
             *channel = 1_000 + index as u16;

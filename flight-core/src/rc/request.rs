@@ -1,83 +1,85 @@
-//! What the pilot asks of the arm state.
+//! Requests of the pilot to arm and disarm.
 
 use super::{CENTRE_TICKS, Gesture, HIGH_TICKS, LOW_TICKS};
 
-/// How long the arm gesture, or the arm switch, must be held, µs (PX4's COM_RC_ARM_HYST is the same second).
+/// Time for which the arm gesture or the arm switch must be held, µs. PX4 has the same 1 s (COM_RC_ARM_HYST).
 pub const ARM_HOLD_US: u32 = 1_000_000;
-/// How long the disarm gesture must be held, µs.
+/// Time for which the disarm gesture must be held, µs.
 pub const DISARM_HOLD_US: u32 = 500_000;
-/// How long the arm switch must be off, µs: longer than one corrupt frame lasts, shorter than a person waits.
+/// Time for which the arm switch must be off to disarm, µs: longer than one corrupt frame lasts, but short for the
+/// pilot.
 pub const SWITCH_OFF_US: u32 = 100_000;
 
-/// A switch above this is on: three quarters of its travel, so that the middle of three positions is off.
+/// Ticks above which a switch is on: three quarters of its travel, so that the middle of three positions is off.
 pub const SWITCH_ON_TICKS: u16 = CENTRE_TICKS + (HIGH_TICKS - CENTRE_TICKS) / 2;
-/// A switch below this is off.
+/// Ticks below which a switch is off for disarming: a quarter of its travel.
 pub const SWITCH_OFF_TICKS: u16 = LOW_TICKS + (CENTRE_TICKS - LOW_TICKS) / 2;
 
-/// How a pilot arms and disarms.
+/// The control with which the pilot arms and disarms.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub enum ArmBy {
-    /// Throttle low and yaw full right; to disarm, full left.
+    /// Stick gestures: throttle low and yaw full right to arm, full left to disarm.
     #[default]
     Sticks,
-    /// The arm switch, with the throttle low.
+    /// The arm switch. Arming also needs a low throttle.
     Switch,
 }
 
-/// What is asked at the moment, and since when.
+/// The present request and the time for which it has been held.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Requests {
-    asked: Asked,
+    present: Request,
     held_us: u32,
-    /// The arm switch has been seen off since the link is there. One that is on when the transmitter comes on, or
-    /// the board, arms nothing.
-    seen_off: bool,
+    /// Whether the arm switch has been off since the link came up. A switch that is already on when the transmitter
+    /// or the board is switched on does not arm.
+    switch_was_off: bool,
 }
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-enum Asked {
+enum Request {
     #[default]
-    Nothing,
+    None,
     Arm,
     Disarm,
 }
 
 impl Requests {
-    /// Takes the last frame's gesture and arm switch for a step that comes `dt_us` after the last.
+    /// Updates the request from the gesture and the arm switch (ticks) of the last frame, for a step that comes
+    /// `dt_us` (µs) after the last one.
     #[inline]
     pub fn update(&mut self, by: ArmBy, gesture: Gesture, arm_switch: u16, link_lost: bool, dt_us: u32) {
-        self.seen_off = !link_lost && (self.seen_off || arm_switch <= SWITCH_ON_TICKS);
-        let asked = match by {
-            // What a lost link last said is no request.
-            _ if link_lost => Asked::Nothing,
+        self.switch_was_off = !link_lost && (self.switch_was_off || arm_switch <= SWITCH_ON_TICKS);
+        let shown = match by {
+            // With a lost link the last frame is no request.
+            _ if link_lost => Request::None,
             ArmBy::Sticks => match gesture {
-                Gesture::None => Asked::Nothing,
-                Gesture::Arm => Asked::Arm,
-                Gesture::Disarm => Asked::Disarm,
+                Gesture::None => Request::None,
+                Gesture::Arm => Request::Arm,
+                Gesture::Disarm => Request::Disarm,
             },
-            ArmBy::Switch if arm_switch > SWITCH_ON_TICKS && self.seen_off => Asked::Arm,
-            ArmBy::Switch if arm_switch < SWITCH_OFF_TICKS => Asked::Disarm,
-            ArmBy::Switch => Asked::Nothing,
+            ArmBy::Switch if arm_switch > SWITCH_ON_TICKS && self.switch_was_off => Request::Arm,
+            ArmBy::Switch if arm_switch < SWITCH_OFF_TICKS => Request::Disarm,
+            ArmBy::Switch => Request::None,
         };
-        self.held_us = if asked == self.asked { self.held_us.saturating_add(dt_us) } else { 0 };
-        self.asked = asked;
+        self.held_us = if shown == self.present { self.held_us.saturating_add(dt_us) } else { 0 };
+        self.present = shown;
     }
 
-    /// Whether the motors are asked for.
+    /// Returns whether arming is requested.
     #[inline(always)]
     pub fn arm(&self) -> bool {
-        self.asked == Asked::Arm && self.held_us >= ARM_HOLD_US
+        self.present == Request::Arm && self.held_us >= ARM_HOLD_US
     }
 
-    /// Whether they are asked to stop.
+    /// Returns whether disarming is requested, for the control `by`.
     #[inline(always)]
     pub fn disarm(&self, by: ArmBy) -> bool {
         let hold_us = match by {
             ArmBy::Sticks => DISARM_HOLD_US,
             ArmBy::Switch => SWITCH_OFF_US,
         };
-        self.asked == Asked::Disarm && self.held_us >= hold_us
+        self.present == Request::Disarm && self.held_us >= hold_us
     }
 }
 
@@ -87,11 +89,11 @@ mod tests {
     use proptest::prelude::*;
 
     proptest! {
-        /// What is asked for is what has been shown in each step since long enough ago, the first of them not counted:
-        /// nobody knows since when it has been shown there. The switch asks for the motors only after it has been
-        /// seen off.
+        /// A request holds if it has been shown in every step for long enough. The time before the first of these
+        /// steps does not count, because the request may have begun at any moment in it. The switch can arm only
+        /// after it has been off.
         #[test]
-        fn a_request_is_what_has_been_shown_for_long_enough(
+        fn request_holds_when_shown_long_enough(
             by in prop::sample::select(&[ArmBy::Sticks, ArmBy::Switch][..]),
             past in prop::collection::vec((
                 prop::sample::select(&[Gesture::Arm, Gesture::Disarm, Gesture::None][..]),
@@ -105,13 +107,13 @@ mod tests {
             ), 1..20),
         ) {
             let mut requests = Requests::default();
-            let (mut seen_off, mut shown, mut held_us) = (false, None, 0_u64);
+            let (mut switch_was_off, mut shown, mut held_us) = (false, None, 0_u64);
             for (gesture, switch, lost, times, dt_us) in past {
                 for _ in 0..times {
                     requests.update(by, gesture, switch, lost, dt_us);
-                    // Three quarters of the way up from 172 to 1811 are 1401, a quarter 582.
+                    // Three quarters of the way from 172 to 1811 is 1401, a quarter is 582.
                     let (on, off) = (switch > 1_401, switch < 582);
-                    seen_off = !lost && (seen_off || !on);
+                    switch_was_off = !lost && (switch_was_off || !on);
                     let now = match by {
                         _ if lost => None,
                         ArmBy::Sticks => match gesture {
@@ -119,7 +121,7 @@ mod tests {
                             Gesture::Disarm => Some(false),
                             Gesture::None => None,
                         },
-                        ArmBy::Switch => if on && seen_off { Some(true) } else if off { Some(false) } else { None },
+                        ArmBy::Switch => if on && switch_was_off { Some(true) } else if off { Some(false) } else { None },
                     };
                     held_us = if now == shown { held_us + u64::from(dt_us) } else { 0 };
                     shown = now;
@@ -132,7 +134,7 @@ mod tests {
     }
 
     #[test]
-    fn gestures_must_be_held() {
+    fn gestures_must_be_held_for_their_time() {
         let mut requests = Requests::default();
         let mut hold = |gesture, ms: u32| {
             for _ in 0..ms {
@@ -149,7 +151,7 @@ mod tests {
     }
 
     #[test]
-    fn a_switch_asks_at_its_ends_and_its_middle_asks_nothing() {
+    fn switch_arms_and_disarms_only_at_its_ends() {
         let mut requests = Requests::default();
         let mut hold = |ticks, ms: u32| {
             for _ in 0..ms {
@@ -167,7 +169,7 @@ mod tests {
     }
 
     #[test]
-    fn a_lost_link_asks_nothing() {
+    fn lost_link_requests_nothing() {
         let mut requests = Requests::default();
         for _ in 0..3_000 {
             requests.update(ArmBy::Switch, Gesture::Arm, HIGH_TICKS, true, 1_000);

@@ -1,15 +1,15 @@
-//! The results of a campaign as a file: CSV, a row for each run.
+//! The results of a campaign as a CSV file with one row for each run.
 //!
-//! Every row says which campaign it belongs to, so that files of parts can be told apart, and put together by any
-//! tool. Numbers have the fewest digits that read back as the same f64, so equal runs make equal rows.
+//! Every row has the identity of its campaign, so that any tool can check and merge the files of shards. Numbers have
+//! the fewest digits that read back as the same f64, so equal runs have equal rows.
 //!
 //! | columns | |
 //! |---|---|
 //! | `scene`, `scene_hash`, `version`, `duration_s`, `first_seed`, `runs` | the campaign |
-//! | `run`, `seed` | the run, counted from 0, and what flies it again |
-//! | `crash`, `crashed_at_s` | empty, or why and when |
-//! | `final_state` … `digest` | as `fly --json` has them |
-//! | `drawn.…` | what the tolerances have drawn, in the scene's order |
+//! | `run`, `seed` | number of the run, counted from 0, and its seed, which repeats it |
+//! | `crash`, `crashed_at_s` | cause and time of the crash; empty without a crash |
+//! | `final_state` … `digest` | as in `fly --json` |
+//! | `drawn.…` | values that the tolerances have drawn, in the order of the scene |
 
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -23,10 +23,10 @@ use crate::flight::{Crash, Outcome};
 use crate::output_file::OutputFile;
 use input::InputError;
 
-/// What says which campaign a row belongs to.
+/// Columns with the identity of the campaign.
 const CAMPAIGN: [&str; 6] = ["scene", "scene_hash", "version", "duration_s", "first_seed", "runs"];
 
-/// What follows, up to what was drawn.
+/// Columns of the run, up to the drawn values.
 const RUN: [&str; 13] = [
     "run",
     "seed",
@@ -43,13 +43,14 @@ const RUN: [&str; 13] = [
     "digest",
 ];
 
-/// More steps than the longest flight has, 10⁶ s; a sum of them over all runs that a machine holds is still a number.
+/// Largest number of steps in a row: the longest flight has 10⁶ s of 1000 steps. The sum over all runs that fit into a
+/// machine's memory does not overflow.
 const MAX_STEPS: u64 = 1_000_000_000;
 
-/// Before the name of a column that was drawn.
+/// Prefix of the columns with drawn values.
 const DRAWN: &str = "drawn.";
 
-/// Writes the runs of a campaign, or of a part of it.
+/// Writes the runs of a campaign, or of a shard of it.
 ///
 /// # Errors
 /// The file cannot be written.
@@ -59,10 +60,10 @@ pub fn write(mut file: OutputFile, campaign: &Campaign, runs: &[Run]) -> Result<
     file.finish()
 }
 
-/// What [`write`](write()) writes.
+/// Returns the text of the file that [`write`](write()) writes.
 ///
 /// # Errors
-/// None of what a campaign gives; runs that have drawn different quantities are no table.
+/// The runs have drawn different quantities, which does not happen within a campaign.
 pub fn to_csv(campaign: &Campaign, runs: &[Run]) -> Result<Vec<u8>, InputError> {
     table(campaign, runs).map_err(|error| InputError::new(error.to_string()))
 }
@@ -88,7 +89,7 @@ fn table(campaign: &Campaign, runs: &[Run]) -> Result<Vec<u8>, csv::Error> {
         } = outcome;
         let (crash, crashed_at_s) =
             crash.map_or_else(Default::default, |(crash, at_s)| (crash.name(), at_s.to_string()));
-        let figures = [
+        let results = [
             attitude_rmse_deg,
             heading_rmse_deg,
             inclination_rmse_deg,
@@ -110,66 +111,71 @@ fn table(campaign: &Campaign, runs: &[Run]) -> Result<Vec<u8>, csv::Error> {
             final_state.name().into(),
             control_steps.to_string(),
         ];
-        let figures = figures.map(f64::to_string);
+        let results = results.map(f64::to_string);
         let drawn = drawn.iter().map(|(_, value)| value.to_string());
         table
-            .write_record(before.into_iter().chain(figures).chain([format!("{digest:016x}")]).chain(drawn))?;
+            .write_record(before.into_iter().chain(results).chain([format!("{digest:016x}")]).chain(drawn))?;
     }
     table.into_inner().map_err(|error| error.into_error().into())
 }
 
-/// Reads the parts of a campaign, and puts their runs in order.
+/// Reads the files of all shards of a campaign, and returns the runs in order.
 ///
 /// # Errors
-/// A part that is none, or of another campaign; a run that is there twice; runs that are missing.
+/// A file is not one of a campaign, or belongs to another campaign; a run is there twice, or runs are missing.
 pub fn merge(parts: &[PathBuf]) -> Result<(Campaign, Vec<Run>), InputError> {
     merge_with(parts, |path| File::open(path))
 }
 
-/// [`merge`], with the parts opened by `open`.
+/// Merges as [`merge`]; `open` opens the files.
 ///
 /// # Errors
-/// As there.
+/// As [`merge`].
 pub fn merge_with<R: Read>(
     parts: &[PathBuf],
     open: impl Fn(&Path) -> io::Result<R>,
 ) -> Result<(Campaign, Vec<Run>), InputError> {
-    let mut whole: Option<(Campaign, Vec<String>, &Path)> = None;
+    let mut merged: Option<(Campaign, Vec<String>, &Path)> = None;
     let mut runs: BTreeMap<u64, (Run, &Path)> = BTreeMap::new();
     for path in parts {
         let mut rows = Rows::open(path, &open)?;
         while rows.advance()? {
             let campaign = rows.campaign()?;
-            match &whole {
-                None => whole = Some((campaign, rows.drawn.clone(), path)),
+            match &merged {
+                None => merged = Some((campaign, rows.drawn.clone(), path)),
                 Some((first, drawn, of)) => {
-                    same(&rows, &campaign, first, of)?;
+                    check_same_campaign(&rows, &campaign, first, of)?;
                     if rows.drawn != *drawn {
                         return Err(rows
-                            .error(format!("must have what {} has", of.display()))
+                            .error(format!("must have the same columns as {}", of.display()))
                             .field("drawn"));
                     }
                 }
             }
-            let (campaign, ..) = whole.as_ref().expect("a first row has just been read");
+            let (campaign, ..) = merged.as_ref().expect("the first row has been read");
             let run = rows.run(campaign)?;
             if let Some((_, of)) = runs.get(&run.number) {
-                let allowed = format!("has come before, from {}", of.display());
+                let allowed = format!("must be in one file only: {} has it too", of.display());
                 return Err(rows.error(allowed).field("run").value(run.number));
             }
             runs.insert(run.number, (run, path));
         }
     }
-    let Some((campaign, ..)) = whole else {
-        return Err(InputError::new("no part has a run").field("PART"));
+    let Some((campaign, ..)) = merged else {
+        return Err(InputError::new("must have at least one run").field("PART"));
     };
-    complete(&campaign, &runs)?;
+    check_complete(&campaign, &runs)?;
     Ok((campaign, runs.into_values().map(|(run, _)| run).collect()))
 }
 
-/// Whether a row belongs to the campaign of the first one.
-fn same<R: Read>(rows: &Rows<R>, campaign: &Campaign, first: &Campaign, of: &Path) -> Result<(), InputError> {
-    // In this order: another scene has another hash, too.
+/// Checks that a row belongs to the same campaign as the first row, which is in the file `of`.
+fn check_same_campaign<R: Read>(
+    rows: &Rows<R>,
+    campaign: &Campaign,
+    first: &Campaign,
+    of: &Path,
+) -> Result<(), InputError> {
+    // The name of the scene comes before its hash, because another scene also has another hash.
     for (field, what, is) in [
         ("scene", "scene", campaign.scene == first.scene),
         ("scene_hash", "text of the scene", campaign.scene_hash == first.scene_hash),
@@ -180,7 +186,7 @@ fn same<R: Read>(rows: &Rows<R>, campaign: &Campaign, first: &Campaign, of: &Pat
     ] {
         if !is {
             return Err(rows
-                .error(format!("another {what} than in {}: not a part of the same campaign", of.display()))
+                .error(format!("must be the {what} of {}: both files must be of one campaign", of.display()))
                 .field(field)
                 .value(rows.text(field)));
         }
@@ -188,13 +194,13 @@ fn same<R: Read>(rows: &Rows<R>, campaign: &Campaign, first: &Campaign, of: &Pat
     Ok(())
 }
 
-/// Whether all runs are there.
-fn complete(campaign: &Campaign, runs: &BTreeMap<u64, (Run, &Path)>) -> Result<(), InputError> {
+/// Checks that no run is missing.
+fn check_complete(campaign: &Campaign, runs: &BTreeMap<u64, (Run, &Path)>) -> Result<(), InputError> {
     let missing = campaign.runs - runs.len() as u64;
     if missing == 0 {
         return Ok(());
     }
-    // The first number that is not its own place in the order begins the first gap.
+    // The first gap starts at the first index that differs from the number of its run.
     let start = runs.keys().zip(0..).find_map(|(number, place)| (*number != place).then_some(place));
     let start = start.unwrap_or(runs.len() as u64);
     let end = runs.range(start..).next().map_or(campaign.runs, |(number, _)| *number);
@@ -203,15 +209,19 @@ fn complete(campaign: &Campaign, runs: &BTreeMap<u64, (Run, &Path)>) -> Result<(
         0 => String::new(),
         further => format!(", and {further} more"),
     };
-    Err(InputError::new(format!("a part is missing: {gap} of {}{others}", campaign.runs)).field("PART"))
+    Err(InputError::new(format!(
+        "must include {gap} of {}{others}: the file of a shard is missing",
+        campaign.runs
+    ))
+    .field("PART"))
 }
 
-/// The rows of one part.
+/// The rows of one file.
 struct Rows<'a, R> {
     path: &'a Path,
     reader: csv::Reader<R>,
     record: csv::StringRecord,
-    /// Names of what was drawn.
+    /// Names of the drawn quantities.
     drawn: Vec<String>,
 }
 
@@ -221,12 +231,12 @@ impl<'a, R: Read> Rows<'a, R> {
         let mut reader = csv::Reader::from_reader(open(path).map_err(|error| unreadable(error.into()))?);
         let header = reader.headers().map_err(unreadable)?;
         if header.is_empty() {
-            return Err(InputError::new("the file is empty: no part of a campaign").file(path));
+            return Err(InputError::new("must be results of `fly --out`: the file is empty").file(path));
         }
         for (place, wanted) in CAMPAIGN.into_iter().chain(RUN).enumerate() {
             let found = header.get(place).unwrap_or("");
             if found != wanted {
-                return Err(InputError::new(format!("must be {wanted}: no part of a campaign"))
+                return Err(InputError::new(format!("must be {wanted}, as in results of `fly --out`"))
                     .file(path)
                     .line(1)
                     .field(format!("column {}", place + 1))
@@ -235,10 +245,10 @@ impl<'a, R: Read> Rows<'a, R> {
         }
         let mut drawn = Vec::new();
         for name in header.iter().skip(CAMPAIGN.len() + RUN.len()) {
-            let of = name.strip_prefix(DRAWN).ok_or_else(|| {
-                InputError::new("must be a column that begins with drawn.").file(path).line(1).value(name)
-            })?;
-            drawn.push(of.to_owned());
+            let quantity = name
+                .strip_prefix(DRAWN)
+                .ok_or_else(|| InputError::new("must begin with drawn.").file(path).line(1).value(name))?;
+            drawn.push(quantity.to_owned());
         }
         Ok(Self { path, reader, record: csv::StringRecord::new(), drawn })
     }
@@ -246,8 +256,8 @@ impl<'a, R: Read> Rows<'a, R> {
     fn advance(&mut self) -> Result<bool, InputError> {
         self.reader.read_record(&mut self.record).map_err(|error| {
             let line = error.position().map(csv::Position::line);
-            let said = InputError::new(format!("cannot be read: {error}")).file(self.path);
-            line.map_or(said.clone(), |line| said.line(line))
+            let unreadable = InputError::new(format!("cannot be read: {error}")).file(self.path);
+            line.map_or(unreadable.clone(), |line| unreadable.line(line))
         })
     }
 
@@ -256,7 +266,7 @@ impl<'a, R: Read> Rows<'a, R> {
         InputError::new(allowed).file(self.path).line(line)
     }
 
-    /// The cell under a name of the two lists.
+    /// Returns the cell of the current row in a column of [`CAMPAIGN`] or [`RUN`].
     fn text(&self, column: &str) -> &str {
         let place = CAMPAIGN.iter().chain(&RUN).position(|name| *name == column);
         place.and_then(|place| self.record.get(place)).unwrap_or("")
@@ -266,7 +276,7 @@ impl<'a, R: Read> Rows<'a, R> {
         self.error(allowed).field(column).value(self.text(column))
     }
 
-    fn whole(&self, column: &str) -> Result<u64, InputError> {
+    fn whole_number(&self, column: &str) -> Result<u64, InputError> {
         self.text(column).parse().map_err(|_| self.wrong(column, "must be a whole number from 0 to 2^64 - 1"))
     }
 
@@ -289,7 +299,7 @@ impl<'a, R: Read> Rows<'a, R> {
     }
 
     fn control_steps(&self) -> Result<u64, InputError> {
-        match self.whole("control_steps")? {
+        match self.whole_number("control_steps")? {
             steps @ 0..=MAX_STEPS => Ok(steps),
             _ => Err(self.wrong("control_steps", &format!("must be from 0 to {MAX_STEPS}"))),
         }
@@ -301,20 +311,20 @@ impl<'a, R: Read> Rows<'a, R> {
             scene_hash: self.hash("scene_hash")?,
             version: self.text("version").into(),
             duration_s: self.duration_s()?,
-            first_seed: self.whole("first_seed")?,
-            runs: self.whole("runs")?,
+            first_seed: self.whole_number("first_seed")?,
+            runs: self.whole_number("runs")?,
         })
     }
 
     fn run(&self, campaign: &Campaign) -> Result<Run, InputError> {
-        let number = self.whole("run")?;
+        let number = self.whole_number("run")?;
         if number >= campaign.runs {
             return Err(
                 self.wrong("run", &format!("must be less than {}, the number of runs", campaign.runs))
             );
         }
-        if self.whole("seed")? != campaign.seed(number) {
-            let allowed = format!("must be {}, the first seed and the run together", campaign.seed(number));
+        if self.whole_number("seed")? != campaign.seed(number) {
+            let allowed = format!("must be {}, the sum of first seed and run", campaign.seed(number));
             return Err(self.wrong("seed", &allowed));
         }
         let crash = match self.text("crash") {

@@ -1,4 +1,4 @@
-//! What a campaign comes to: how many crashed, how the others spread, and which runs to look at.
+//! Summary of a campaign: the number of crashes, the distribution of the errors, and the worst runs.
 
 use std::collections::BTreeMap;
 use std::fmt::{self, Write as _};
@@ -9,12 +9,12 @@ use super::{Campaign, Run};
 use crate::flight::Outcome;
 use crate::flight::summary::{drawn_json, outcome_json};
 
-/// Runs that each table of the worst shows.
-const WORST: usize = 5;
-/// Crashes that are shown; the rest is counted, and in the file of results.
-const CRASHES: usize = 10;
+/// Runs in each table of the worst.
+const MAX_WORST: usize = 5;
+/// Crashes that the text shows. The others are counted, and are in the file of results.
+const MAX_CRASHES: usize = 10;
 
-/// The figures of a campaign, or of a part of it.
+/// Summary of a campaign, or of a shard of it.
 #[derive(Debug)]
 pub struct Summary<'a> {
     campaign: &'a Campaign,
@@ -25,15 +25,15 @@ pub struct Summary<'a> {
 }
 
 impl<'a> Summary<'a> {
-    /// Looks at these runs of a campaign.
+    /// Summarizes these runs of a campaign.
     pub fn new(campaign: &'a Campaign, runs: &'a [Run]) -> Self {
         let (crashes, flown): (Vec<&Run>, Vec<&Run>) =
             runs.iter().partition(|run| run.outcome.crash.is_some());
         let worst = |measure: fn(&Outcome) -> f64| {
             let mut worst = flown.clone();
-            // The sort is stable: of equal ones the first run comes first.
+            // The sort is stable: of equal runs the one with the lower number comes first.
             worst.sort_by(|a, b| measure(&b.outcome).total_cmp(&measure(&a.outcome)));
-            worst.truncate(WORST);
+            worst.truncate(MAX_WORST);
             worst
         };
         Self {
@@ -45,32 +45,33 @@ impl<'a> Summary<'a> {
         }
     }
 
-    /// Runs that crashed.
+    /// Returns the number of runs that crashed.
     pub fn crashes(&self) -> u64 {
         self.crashes.len() as u64
     }
 
-    /// Steps flown by all runs.
+    /// Returns the number of steps of all runs.
     pub fn control_steps(&self) -> u64 {
         self.runs.iter().map(|run| run.outcome.control_steps).sum()
     }
 
-    fn worst(&self, measure: fn(&Outcome) -> f64) -> f64 {
+    /// Returns the largest value over all runs.
+    fn max(&self, measure: fn(&Outcome) -> f64) -> f64 {
         self.runs.iter().map(|run| measure(&run.outcome)).fold(0.0, f64::max)
     }
 
-    /// Root of the mean square of the runs' errors, degrees.
+    /// Returns the root mean square of the runs' attitude errors, degrees.
     fn rmse_deg(&self) -> f64 {
         let square = |run: &Run| run.outcome.attitude_rmse_deg * run.outcome.attitude_rmse_deg;
         libm::sqrt(self.runs.iter().map(square).sum::<f64>() / self.runs.len().max(1) as f64)
     }
 
-    /// The error that so many of a hundred runs stay within, degrees: that of the run at this place of the order.
+    /// Returns the attitude error that `percent` of the runs do not exceed, degrees: that of the run at this rank.
     fn attitude_percentile_deg(&self, percent: usize) -> f64 {
         let mut errors: Vec<f64> = self.runs.iter().map(|run| run.outcome.attitude_rmse_deg).collect();
         errors.sort_by(f64::total_cmp);
-        let place = (errors.len() * percent).div_ceil(100).saturating_sub(1);
-        errors.get(place).copied().unwrap_or(0.0)
+        let rank = (errors.len() * percent).div_ceil(100).saturating_sub(1);
+        errors.get(rank).copied().unwrap_or(0.0)
     }
 
     fn final_states(&self) -> BTreeMap<&'static str, u64> {
@@ -81,7 +82,7 @@ impl<'a> Summary<'a> {
         states
     }
 
-    /// What flies a run again.
+    /// Returns the command that repeats a run.
     fn command(&self, run: &Run) -> String {
         let Campaign { scene, duration_s, .. } = self.campaign;
         let plain = |c: char| c.is_alphanumeric() || matches!(c, '-' | '_' | '.' | '/');
@@ -90,7 +91,7 @@ impl<'a> Summary<'a> {
         format!("sim-host fly {scene} --seed {} --duration {duration_s}", self.campaign.seed(run.number))
     }
 
-    /// For programs. Without times: they are not the campaign's.
+    /// Returns the summary as JSON. It has no computing times, because these depend on the machine.
     pub fn to_json(&self) -> Value {
         let run = |run: &Run| {
             let mut object = outcome_json(&run.outcome);
@@ -117,8 +118,8 @@ impl<'a> Summary<'a> {
             "attitude_rmse_deg": self.rmse_deg(),
             "attitude_median_deg": self.attitude_percentile_deg(50),
             "attitude_95_percent_deg": self.attitude_percentile_deg(95),
-            "tilt_max_deg": self.worst(|o| o.tilt_max_deg),
-            "position_error_max_m": self.worst(|o| o.position_error_max_m),
+            "tilt_max_deg": self.max(|o| o.tilt_max_deg),
+            "position_error_max_m": self.max(|o| o.position_error_max_m),
             "crashed": !self.crashes.is_empty(),
             "crashes": self.crashes.len(),
             "final_states": self.final_states(),
@@ -131,6 +132,7 @@ impl<'a> Summary<'a> {
         })
     }
 
+    /// Appends a table of runs.
     fn table(&self, text: &mut String, title: &str, runs: &[&Run]) -> fmt::Result {
         if runs.is_empty() {
             return Ok(());
@@ -152,7 +154,7 @@ impl<'a> Summary<'a> {
         Ok(())
     }
 
-    /// For people.
+    /// Returns the summary as text.
     fn describe(&self) -> Result<String, fmt::Error> {
         let Campaign { scene, runs, .. } = self.campaign;
         let flights = match self.runs.len() as u64 {
@@ -164,21 +166,21 @@ impl<'a> Summary<'a> {
         let seed = |run: Option<&Run>| run.map_or(0, |run| self.campaign.seed(run.number));
         let mut text = format!(
             "{scene}: {flights}, seeds {} to {}, {} crashed\n  \
-             attitude error  {:.3}° RMSE; median flight {:.3}°, 95 % of them within {:.3}°, worst flight {:.3}°\n  \
-             worst tilt {:.1}°, worst distance from the target {:.2} m\n  \
-             at the end  {}",
+             attitude error  {:.3}° RMSE of all flights; median flight {:.3}°, 95 % of flights up to {:.3}°, worst flight {:.3}°\n  \
+             maximum tilt    {:.1}°; maximum distance from the target {:.2} m\n  \
+             final states    {}",
             seed(self.runs.first()),
             seed(self.runs.last()),
             self.crashes.len(),
             self.rmse_deg(),
             self.attitude_percentile_deg(50),
             self.attitude_percentile_deg(95),
-            self.worst(|o| o.attitude_rmse_deg),
-            self.worst(|o| o.tilt_max_deg),
-            self.worst(|o| o.position_error_max_m),
+            self.max(|o| o.attitude_rmse_deg),
+            self.max(|o| o.tilt_max_deg),
+            self.max(|o| o.position_error_max_m),
             states.join(", "),
         );
-        let (shown, further) = self.crashes.split_at(self.crashes.len().min(CRASHES));
+        let (shown, further) = self.crashes.split_at(self.crashes.len().min(MAX_CRASHES));
         self.table(&mut text, "crashed", shown)?;
         if !further.is_empty() {
             write!(text, "\n    and {} more", further.len())?;

@@ -3,7 +3,7 @@ use crate::flight::Crash;
 use crate::output_file::OutputFile;
 use std::path::{Path, PathBuf};
 
-/// A twentieth of a second on the bench, with a drawn vehicle.
+/// A scene of 0.05 s on the bench, with a drawn vehicle.
 fn scene() -> Scene {
     let text = "include = \"static\"\n[scene]\nduration_s = 0.05\nseed = 18446744073709\n[tolerances]\n\
                 mass_kg = { uniform_percent = 5 }\nmag_hard_iron_ut = { normal = 2 }\n";
@@ -21,19 +21,19 @@ fn written(path: &Path, campaign: &Campaign, runs: &[Run]) -> PathBuf {
 }
 
 #[test]
-fn parts_cover_every_run_once_and_differ_by_one_at_most() {
+fn shards_cover_each_run_once_and_differ_by_at_most_one() {
     for runs in [1, 2, 7, 8, 1000, u64::MAX] {
         for parts in [1, 2, 3, 7] {
             let mut end = 0;
-            let (mut least, mut most) = (u64::MAX, 0);
+            let (mut min, mut max) = (u64::MAX, 0);
             for part in 1..=parts {
                 let shard: Shard = format!("{part}/{parts}").parse().unwrap();
                 let range = shard.runs(runs);
                 assert_eq!(range.start, end);
-                (least, most) = (least.min(range.end - range.start), most.max(range.end - range.start));
+                (min, max) = (min.min(range.end - range.start), max.max(range.end - range.start));
                 end = range.end;
             }
-            assert!(end == runs && most - least <= 1, "{runs} in {parts}");
+            assert!(end == runs && max - min <= 1, "{runs} in {parts}");
         }
     }
     for wrong in ["", "1", "0/3", "4/3", "1/0", "-1/3", "1/3/3", "one/three", "1.0/3"] {
@@ -42,33 +42,33 @@ fn parts_cover_every_run_once_and_differ_by_one_at_most() {
 }
 
 #[test]
-fn neither_jobs_nor_parts_nor_their_order_move_a_byte() {
+fn jobs_shards_and_their_order_do_not_change_the_file() {
     let directory = tempfile::tempdir().unwrap();
     let file = |name: &str| directory.path().join(name);
     let campaign = Campaign::new(&scene(), 11);
-    let whole = written(&file("whole.csv"), &campaign, &flown(&campaign, Shard::WHOLE, 1));
-    let threads = written(&file("threads.csv"), &campaign, &flown(&campaign, Shard::WHOLE, 4));
+    let whole = written(&file("whole.csv"), &campaign, &flown(&campaign, Shard::ALL, 1));
+    let threads = written(&file("threads.csv"), &campaign, &flown(&campaign, Shard::ALL, 4));
     let parts = [2, 3, 1].map(|part| {
         let shard = format!("{part}/3").parse().unwrap();
         written(&file(&format!("{part}.csv")), &campaign, &flown(&campaign, shard, 2))
     });
     let (read, runs) = merge(&parts).unwrap();
     assert_eq!(read, campaign);
-    assert_eq!(runs, flown(&campaign, Shard::WHOLE, 3));
+    assert_eq!(runs, flown(&campaign, Shard::ALL, 3));
     let merged = written(&file("merged.csv"), &read, &runs);
     let bytes = |path: &Path| std::fs::read(path).unwrap();
     assert_eq!(bytes(&threads), bytes(&whole));
     assert_eq!(bytes(&merged), bytes(&whole));
     assert_eq!(
         Summary::new(&read, &runs).to_json(),
-        Summary::new(&campaign, &flown(&campaign, Shard::WHOLE, 1)).to_json()
+        Summary::new(&campaign, &flown(&campaign, Shard::ALL, 1)).to_json()
     );
 }
 
 #[test]
-fn a_crash_and_numbers_that_are_none_come_back_as_they_were() {
+fn crashes_and_infinite_values_survive_the_file() {
     let campaign = Campaign { scene: "a, \"b\"".into(), ..Campaign::new(&scene(), 7) };
-    let mut runs = flown(&campaign, Shard::WHOLE, 1);
+    let mut runs = flown(&campaign, Shard::ALL, 1);
     for (run, crash) in runs.iter_mut().zip(Crash::ALL) {
         run.outcome.crash = Some((crash, 0.1 + 0.2));
         run.outcome.tilt_max_deg = f64::INFINITY;
@@ -79,44 +79,59 @@ fn a_crash_and_numbers_that_are_none_come_back_as_they_were() {
 }
 
 #[test]
-fn parts_that_do_not_make_a_whole_are_refused() {
+fn files_that_do_not_make_one_campaign_are_refused() {
     let directory = tempfile::tempdir().unwrap();
     let campaign = Campaign::new(&scene(), 10);
-    let runs = flown(&campaign, Shard::WHOLE, 2);
+    let runs = flown(&campaign, Shard::ALL, 2);
     let part =
         |name: &str, campaign: &Campaign, runs: &[Run]| written(&directory.path().join(name), campaign, runs);
     let first = part("first.csv", &campaign, &runs[..4]);
     let last = part("last.csv", &campaign, &runs[6..]);
-    let said = |parts: &[&PathBuf]| {
+    let error_of = |parts: &[&PathBuf]| {
         let parts: Vec<PathBuf> = parts.iter().map(|part| (*part).clone()).collect();
-        let said = merge(&parts).unwrap_err().to_string();
-        said.replace(&format!("{}/", directory.path().display()), "")
+        let error = merge(&parts).unwrap_err().to_string();
+        error.replace(&format!("{}/", directory.path().display()), "")
     };
-    assert_eq!(said(&[&last, &first]), "PART: a part is missing: runs 4 to 5 of 10");
-    assert_eq!(said(&[&first]), "PART: a part is missing: runs 4 to 9 of 10");
-    assert_eq!(said(&[&last]), "PART: a part is missing: runs 0 to 5 of 10");
+    assert_eq!(
+        error_of(&[&last, &first]),
+        "PART: must include runs 4 to 5 of 10: the file of a shard is missing"
+    );
+    assert_eq!(error_of(&[&first]), "PART: must include runs 4 to 9 of 10: the file of a shard is missing");
+    assert_eq!(error_of(&[&last]), "PART: must include runs 0 to 5 of 10: the file of a shard is missing");
     let middle = part("middle.csv", &campaign, &runs[5..6]);
-    assert_eq!(said(&[&middle, &last]), "PART: a part is missing: runs 0 to 4 of 10");
-    assert_eq!(said(&[&middle]), "PART: a part is missing: runs 0 to 4 of 10, and 4 more");
-    assert_eq!(said(&[&first, &last, &first]), "first.csv:2: run = 0: has come before, from first.csv");
+    assert_eq!(
+        error_of(&[&middle, &last]),
+        "PART: must include runs 0 to 4 of 10: the file of a shard is missing"
+    );
+    assert_eq!(
+        error_of(&[&middle]),
+        "PART: must include runs 0 to 4 of 10, and 4 more: the file of a shard is missing"
+    );
+    assert_eq!(
+        error_of(&[&first, &last, &first]),
+        "first.csv:2: run = 0: must be in one file only: first.csv has it too"
+    );
     let again = part("again.csv", &campaign, &runs[3..6]);
-    assert_eq!(said(&[&first, &again, &last]), "again.csv:2: run = 3: has come before, from first.csv");
+    assert_eq!(
+        error_of(&[&first, &again, &last]),
+        "again.csv:2: run = 3: must be in one file only: first.csv has it too"
+    );
 
     let foreign = |change: fn(&mut Campaign)| {
         let mut foreign = campaign.clone();
         change(&mut foreign);
         let part = part("foreign.csv", &foreign, &runs[4..6]);
-        said(&[&first, &part, &last])
+        error_of(&[&first, &part, &last])
     };
     for (change, wanted) in [
-        ((|c| c.scene = "hover".into()) as fn(&mut Campaign), "scene = hover: another scene"),
-        (|c| c.scene_hash = 1, "scene_hash = 0000000000000001: another text of the scene"),
-        (|c| c.version = "9.9.9".into(), "version = 9.9.9: another version of sim-host"),
-        (|c| c.duration_s = 2.0, "duration_s = 2: another length of the flights"),
-        (|c| c.first_seed = 5, "first_seed = 5: another first seed"),
-        (|c| c.runs = 12, "runs = 12: another number of runs"),
+        ((|c| c.scene = "hover".into()) as fn(&mut Campaign), "scene = hover: must be the scene"),
+        (|c| c.scene_hash = 1, "scene_hash = 0000000000000001: must be the text of the scene"),
+        (|c| c.version = "9.9.9".into(), "version = 9.9.9: must be the version of sim-host"),
+        (|c| c.duration_s = 2.0, "duration_s = 2: must be the length of the flights"),
+        (|c| c.first_seed = 5, "first_seed = 5: must be the first seed"),
+        (|c| c.runs = 12, "runs = 12: must be the number of runs"),
     ] {
-        let wanted = format!("foreign.csv:2: {wanted} than in first.csv: not a part of the same campaign");
+        let wanted = format!("foreign.csv:2: {wanted} of first.csv: both files must be of one campaign");
         assert_eq!(foreign(change), wanted);
     }
 
@@ -125,15 +140,15 @@ fn parts_that_do_not_make_a_whole_are_refused() {
         assert!(text.contains(from), "{text}");
         let path = directory.path().join("altered.csv");
         std::fs::write(&path, text.replacen(from, to, 1)).unwrap();
-        said(&[&path])
+        error_of(&[&path])
     };
     assert_eq!(
         altered("attitude_rmse_deg", "rmse"),
-        "altered.csv:1: column 13 = rmse: must be attitude_rmse_deg: no part of a campaign"
+        "altered.csv:1: column 13 = rmse: must be attitude_rmse_deg, as in results of `fly --out`"
     );
     assert_eq!(
         altered(",10,0,18446744073709,", ",10,0,1,"),
-        "altered.csv:2: seed = 1: must be 18446744073709, the first seed and the run together"
+        "altered.csv:2: seed = 1: must be 18446744073709, the sum of first seed and run"
     );
     assert_eq!(
         altered(",10,3,", ",10,30,"),
@@ -148,21 +163,21 @@ fn parts_that_do_not_make_a_whole_are_refused() {
             .contains("control_steps = 18446744073709551615: must be from")
     );
     assert!(altered(",0.05,", ",NaN,").ends_with("duration_s = NaN: must be from 0.01 to 1000000 s"));
-    assert!(altered("drawn.mass_kg", "mass_kg").contains("must be a column that begins with drawn."));
+    assert!(altered("drawn.mass_kg", "mass_kg").contains("must begin with drawn."));
     let empty = directory.path().join("empty.csv");
     std::fs::write(&empty, "").unwrap();
-    assert_eq!(said(&[&empty]), "empty.csv: the file is empty: no part of a campaign");
-    assert!(said(&[&directory.path().join("nowhere.csv")]).starts_with("nowhere.csv: cannot be read: "));
-    // A row that was cut off, as by a full disk.
+    assert_eq!(error_of(&[&empty]), "empty.csv: must be results of `fly --out`: the file is empty");
+    assert!(error_of(&[&directory.path().join("nowhere.csv")]).starts_with("nowhere.csv: cannot be read: "));
+    // A row that is cut off, for example by a full disk.
     let text = std::fs::read_to_string(&first).unwrap();
     std::fs::write(&empty, &text[..text.len() - 60]).unwrap();
-    assert!(said(&[&empty]).starts_with("empty.csv:5: cannot be read: "), "{}", said(&[&empty]));
+    assert!(error_of(&[&empty]).starts_with("empty.csv:5: cannot be read: "), "{}", error_of(&[&empty]));
 }
 
 #[test]
-fn the_worst_are_the_worst_and_crashes_stand_by_themselves() {
+fn worst_runs_are_sorted_and_crashes_listed_separately() {
     let campaign = Campaign::new(&scene(), 9);
-    let mut runs = flown(&campaign, Shard::WHOLE, 2);
+    let mut runs = flown(&campaign, Shard::ALL, 2);
     for (i, run) in runs.iter_mut().enumerate() {
         run.outcome.attitude_rmse_deg = [3.0, 1.0, 4.0, 1.0, 5.0, 9.0, 2.0, 6.0, 5.0][i];
         run.outcome.tilt_max_deg = i as f64;
@@ -186,12 +201,12 @@ fn the_worst_are_the_worst_and_crashes_stand_by_themselves() {
 }
 
 #[test]
-fn no_run_is_begun_after_a_stop() {
+fn no_run_starts_after_stop_is_set() {
     let campaign = Campaign::new(&scene(), 1_000);
     let stop = AtomicBool::new(false);
-    let begun = AtomicU64::new(0);
+    let finished = AtomicU64::new(0);
     let runs = fly(&scene(), &campaign, 0..1_000, NonZeroUsize::new(2).unwrap(), &stop, &|| {
-        if begun.fetch_add(1, Ordering::Relaxed) == 4 {
+        if finished.fetch_add(1, Ordering::Relaxed) == 4 {
             stop.store(true, Ordering::Relaxed);
         }
     });

@@ -3,7 +3,7 @@ use super::*;
 fn panel(points: Vec<(f64, f64)>) -> Panel {
     let line = Line::new("<truth>", Stroke::solid(colour::SKY, 2.0), points);
     Panel {
-        least_span: 1.0,
+        min_span: 1.0,
         right: Some(RightAxis { unit: "rad/s", zero: -10.0, per_unit: 0.5 }),
         ..Panel::new("Roll & pitch", "°", 100.0, vec![line])
     }
@@ -12,11 +12,11 @@ fn panel(points: Vec<(f64, f64)>) -> Panel {
 fn chart(points: Vec<(f64, f64)>) -> Chart {
     Chart {
         heading: Some(("Title".into(), "Note".into())),
-        ..Chart::over_time(400.0, "what is \"seen\"", (0.0, 10.0), vec![panel(points)])
+        ..Chart::over_time(400.0, "a \"description\"", (0.0, 10.0), vec![panel(points)])
     }
 }
 
-/// A line with dots, a band and a label, on logarithmic axes, twice.
+/// Returns a chart of two equal panels with logarithmic axes: a line with dots, a band and a label.
 fn logarithmic(points: Vec<(f64, f64)>) -> Chart {
     let band =
         Band { colour: colour::SKY, points: points.iter().map(|&(x, y)| (x, y * 0.9, y * 1.1)).collect() };
@@ -32,7 +32,7 @@ fn mark(time_s: f64, label: &str) -> Mark {
 }
 
 #[test]
-fn whatever_is_plotted_every_coordinate_is_a_number() {
+fn extreme_values_give_finite_coordinates() {
     let cases = [
         vec![],
         vec![(0.0, 0.0)],
@@ -44,7 +44,7 @@ fn whatever_is_plotted_every_coordinate_is_a_number() {
     for points in cases {
         let mut chart = chart(points.clone());
         for time_s in [(0.0, 10.0), (0.0, 0.0)] {
-            chart.along = Some(time_s);
+            chart.x_range = Some(time_s);
             let svg = chart.to_svg();
             assert!(!svg.contains("NaN") && !svg.contains("inf"), "{points:?}: {svg}");
         }
@@ -52,7 +52,7 @@ fn whatever_is_plotted_every_coordinate_is_a_number() {
 }
 
 #[test]
-fn what_has_no_logarithm_has_no_place() {
+fn values_without_logarithm_are_not_drawn() {
     for points in [
         vec![],
         vec![(1.0, 1.0)],
@@ -68,15 +68,16 @@ fn what_has_no_logarithm_has_no_place() {
 
 /// A line of slope −½ through (1, 1), four decades long.
 #[test]
-fn logarithmic_axes_make_a_power_a_straight_line() {
+fn power_law_is_straight_on_logarithmic_axes() {
     let points: Vec<(f64, f64)> = (-20..=20)
         .map(|k| (libm::pow(10.0, 0.1 * f64::from(k)), libm::pow(10.0, -0.05 * f64::from(k))))
         .collect();
     let svg = Chart { columns: 1, ..logarithmic(points) }.to_svg();
     let path = svg.split("class=\"l\"").nth(1).and_then(|rest| rest.split(" d=\"").nth(1)).unwrap();
     let path = path.split('"').next().unwrap();
-    // Along 4 decades and 0.2 of room at each end, 334 px: from 0.2/4.4 = 15.2 px on by 4/4.4 = 303.6. Up 1 + log 1.1 to
-    // −1 + log 0.9, the band's ends, and 0.15 of room, 100 px: from 0.191/2.387 = 8.0 px on by 2/2.387 = 83.8.
+    // x: 334 px for 4 decades and a margin of 0.2 at each end, so the line starts at 334 · 0.2/4.4 = 15.2 px and is
+    // 334 · 4/4.4 = 303.6 px long. y: 100 px from 1 + log 1.1 to −1 + log 0.9, the ends of the band, and a margin of 0.15
+    // at each end, so the line starts at 100 · 0.191/2.387 = 8.0 px and is 100 · 2/2.387 = 83.8 px high.
     assert_eq!(path, "M152 80l3036 838");
 }
 
@@ -84,12 +85,12 @@ fn logarithmic_axes_make_a_power_a_straight_line() {
 fn text_is_escaped() {
     let svg = chart(vec![(0.0, 1.0)]).to_svg();
     assert!(svg.contains("&lt;truth&gt;") && svg.contains("Roll &amp; pitch"));
-    assert!(svg.contains("aria-label=\"what is &quot;seen&quot;\""));
+    assert!(svg.contains("aria-label=\"a &quot;description&quot;\""));
     assert_eq!(escaped("a\u{0}b\nc'"), "a\u{FFFD}b c&#39;");
 }
 
 #[test]
-fn a_file_stands_alone_and_asks_for_nothing() {
+fn svg_file_has_no_external_references() {
     let file = chart(vec![(0.0, 1.0)]).to_svg_file();
     let rest = file.replacen("http://www.w3.org/2000/svg", "", 1);
     assert!(file.starts_with("<svg xmlns=") && rest != file);
@@ -97,20 +98,20 @@ fn a_file_stands_alone_and_asks_for_nothing() {
 }
 
 #[test]
-fn the_axis_covers_what_is_in_the_time_shown_and_what_is_asked() {
-    let panel = Panel { covers: vec![-4.0], ..panel(vec![(0.0, 1.0), (5.0, 2.0), (20.0, 900.0)]) };
+fn axis_covers_shown_points_and_included_values() {
+    let panel = Panel { includes: vec![-4.0], ..panel(vec![(0.0, 1.0), (5.0, 2.0), (20.0, 900.0)]) };
     let (low, high) = panel.range(Scale::Linear, (0.0, 10.0));
     assert!((-5.0..-4.0).contains(&low) && (2.0..3.0).contains(&high), "{low} {high}");
 }
 
 #[test]
-fn a_line_that_hardly_moves_is_not_blown_up() {
+fn nearly_constant_line_keeps_the_minimum_span() {
     let (low, high) = panel(vec![(0.0, 1.0), (5.0, 1.0 + 1e-7)]).range(Scale::Linear, (0.0, 10.0));
     assert!((high - low - 1.0).abs() < 1e-6);
 }
 
 #[test]
-fn labels_of_marks_do_not_cover_each_other_and_stay_inside() {
+fn mark_labels_do_not_overlap_and_stay_inside() {
     let mut chart = chart(vec![(0.0, 1.0)]);
     chart.marks = vec![mark(1.0, "armed"), mark(1.1, "disarmed"), mark(9.9, "crash"), mark(6.0, "armed")];
     let rows: Vec<_> = chart.mark_labels().iter().map(|label| (label.row, label.leftwards)).collect();
@@ -119,6 +120,6 @@ fn labels_of_marks_do_not_cover_each_other_and_stay_inside() {
 }
 
 #[test]
-fn lengths_are_short() {
+fn lengths_are_rounded_to_a_tenth() {
     assert_eq!(["0", "0", "12.3", "-4"], [0.0, -0.01, 12.345, -4.0].map(px).each_ref().map(String::as_str));
 }

@@ -1,26 +1,26 @@
-//! The ICM-42688-P: gyroscope and accelerometer on SPI.
+//! Model of the ICM-42688-P: gyroscope and accelerometer on SPI.
 //!
-//! After TDK's datasheet DS-000347; section numbers, reset values and quoted rules are those of revision 1.6
-//! as the crate `rigless` 0.3 (`chip/icm42688p.rs`, `chip/icm426xx.rs`) cites them. Without FIFO, APEX,
-//! self-test and filters, which the driver does not use: registers that are not in `RESET_VALUES` read zero
-//! and keep nothing.
+//! Source: TDK's datasheet DS-000347. Section numbers, reset values and quoted rules are those of revision 1.6, as the
+//! crate `rigless` 0.3 (`chip/icm42688p.rs`, `chip/icm426xx.rs`) cites them. FIFO, APEX, self-test and filters are not
+//! modelled, because the driver does not use them: registers that are not in `RESET_VALUES` read zero and ignore
+//! writes.
 //!
-//! | what | as the datasheet has it |
+//! | subject | in the datasheet |
 //! |---|---|
-//! | access (9.6) | a byte of direction and address; reads run on to the next address, a write takes one byte |
-//! | banks (13) | each with registers of its own; REG_BANK_SEL in all of them |
-//! | power-up, reset | registers after 1 ms (table 4; 14.1); then RESET_DONE_INT is set |
+//! | access (9.6) | a byte of direction and address; reads continue at the next address, a write takes one byte |
+//! | banks (13) | each has its own registers; REG_BANK_SEL is in all of them |
+//! | power-up, reset | registers are accessible after 1 ms (table 4; 14.1); then RESET_DONE_INT is set |
 //! | data registers (14.5 to 14.18) | −32,768 until the first sample, then the latest valid one |
 //! | range of a count (14.34) | −32,766 to 32,767 |
-//! | start (tables 1, 2) | the accelerometer's first data 10 ms after it is on, the gyroscope's after 30 ms |
+//! | start (tables 1, 2) | first data of the accelerometer 10 ms after it is switched on, of the gyroscope after 30 ms |
 //! | rate (5.6) | that of the faster sensor |
 //! | DATA_RDY_INT (14.21) | set by a sample, cleared by reading INT_STATUS |
-//! | what must not be done | a write within 200 µs after a change of mode; gyroscope off within 45 ms (14.36); other settings than modes, rates and ranges while a sensor is on (12) |
+//! | forbidden | a write within 200 µs after a change of mode; gyroscope off within 45 ms (14.36); changes of settings other than modes, rates and ranges while a sensor is on (12) |
 //!
-//! The datasheet is silent on these, and so:
-//! - A sample that lands during a burst changes the registers that are still to be read, byte by byte.
-//! - A chip that is not ready reads zero and keeps nothing.
-//! - A change of the rate starts a period anew.
+//! The datasheet does not specify these points, so the model assumes:
+//! - A sample that arrives during a burst changes the registers that are still to be read, byte by byte.
+//! - A chip that is not ready reads zero and ignores writes.
+//! - A change of the rate restarts the period.
 //! - The adaptive full-scale feature, which INTF_CONFIG1's reserved bits 7:6 leave on after reset (10), holds
 //!   the gyroscope's registers for 2 ms whenever a rate crosses 100 °/s (ArduPilot, pull request 25332: "between
 //!   1ms and 2ms").
@@ -49,8 +49,7 @@ const INT_SOURCE0: u8 = 0x65;
 const WHO_AM_I: u8 = 0x75;
 const REG_BANK_SEL: u8 = 0x76;
 
-/// Registers that can be written, of the part of the chip that is played here: bank, address, value after a
-/// reset (14 to 16).
+/// The writable registers of the modelled part of the chip: bank, address, value after a reset (14 to 16).
 const RESET_VALUES: [(u8, u8, u8); 21] = [
     (0, DEVICE_CONFIG, 0x00),
     (0, 0x13, 0x05), // DRIVE_CONFIG
@@ -81,14 +80,14 @@ const RESET_DONE_INT: u8 = 0x10;
 const READY_NS: u64 = 1_000_000;
 const MODE_CHANGE_NS: u64 = 200_000;
 const GYRO_START_NS: u64 = 30_000_000;
-const GYRO_SHORTEST_ON_NS: u64 = 45_000_000;
+const GYRO_MIN_ON_NS: u64 = 45_000_000;
 const ACCEL_START_NS: u64 = 10_000_000;
-const LOWEST_COUNT: i32 = -32_766;
+const MIN_COUNT: i32 = -32_766;
 /// 100 °/s at ±2,000 °/s.
 const ADAPTIVE_STEP_COUNTS: u16 = 1_640;
 const ADAPTIVE_HOLD_NS: u64 = 2_000_000;
 
-/// Periods of the data rates by their code (14.37), ns; 0 where the code has no rate that low-noise mode takes.
+/// Periods of the data rates by their code (14.37), ns; 0 for a code without a rate in low-noise mode.
 const PERIOD_NS: [u64; 16] = [
     0, 31_250, 62_500, 125_000, 250_000, 500_000, 1_000_000, 5_000_000, 10_000_000, 20_000_000, 40_000_000,
     80_000_000, 0, 0, 0, 2_000_000,
@@ -97,15 +96,15 @@ const PERIOD_NS: [u64; 16] = [
 /// Time of a byte on the bus at 10.5 MHz, ns.
 const BYTE_NS: u64 = 762;
 
-/// Where the sensor's counts come from: those at a time, ns, at ±2,000 °/s and ±16 g.
+/// The source of samples: returns the counts at a time, ns, for the ranges ±2,000 °/s and ±16 g.
 pub type Source = Box<dyn FnMut(u64) -> ImuSample>;
 
-/// A handle on the chip: both the bus that a driver takes, and the view of whoever plays the world.
+/// A handle on the chip: the bus device for the driver, and the interface for the test.
 #[derive(Clone)]
 pub struct Icm42688p(Rc<RefCell<Chip>>);
 
 impl Icm42688p {
-    /// A chip whose supply comes up now.
+    /// Creates a chip whose supply comes up now.
     pub fn new(clock: &Clock, source: Source) -> Self {
         let mut chip = Chip {
             schedule: Schedule::new(clock),
@@ -128,32 +127,32 @@ impl Icm42688p {
         Self(Rc::new(RefCell::new(chip)))
     }
 
-    /// Lets something be wrong for a time, ns.
+    /// Injects a fault for a time range, ns.
     pub fn inject(&self, during: std::ops::Range<u64>, fault: Fault) {
         self.0.borrow_mut().schedule.faults.list.push((during, fault));
     }
 
-    /// What the driver did that it must not.
+    /// Returns the driver's violations of the datasheet.
     pub fn misuse(&self) -> Vec<Misuse> {
         self.0.borrow().misuse.clone()
     }
 
-    /// What a register holds. Looking does not clear anything.
+    /// Returns the content of a register, without side effects on it.
     pub fn register(&self, bank: u8, address: u8) -> u8 {
         self.now().banks[usize::from(bank)][usize::from(address)]
     }
 
-    /// The sample that the data registers hold, at the scale that is set.
+    /// Returns the sample in the data registers, at the configured scale.
     pub fn latest(&self) -> Option<ImuSample> {
         self.now().latest
     }
 
-    /// How often the data-ready line has risen.
+    /// Returns the number of rising edges of the data-ready line.
     pub fn data_ready_edges(&self) -> u64 {
         self.now().edges
     }
 
-    /// When the next sample falls due, ns.
+    /// Returns the time of the next sample, ns.
     pub fn next_sample_ns(&self) -> Option<u64> {
         self.now().schedule.next_sample_ns
     }
@@ -165,7 +164,7 @@ impl Icm42688p {
     }
 }
 
-/// Where in a transaction the chip is.
+/// The chip's position in a transaction.
 #[derive(Clone, Copy)]
 enum Frame {
     Address,
@@ -182,7 +181,7 @@ struct Chip {
     banks: [[u8; 128]; 5],
     bank: u8,
     ready_ns: u64,
-    /// When the mode changed last.
+    /// Time of the last change of mode, ns.
     mode_ns: Option<u64>,
     gyro_on_ns: Option<u64>,
     accel_on_ns: Option<u64>,
@@ -191,7 +190,7 @@ struct Chip {
     latest: Option<ImuSample>,
     edges: u64,
     frame: Frame,
-    /// What the data line reads where the chip does not drive it.
+    /// Value of each byte while the data line is disconnected.
     line: Option<u8>,
 }
 
@@ -221,7 +220,7 @@ impl Sampling for Chip {
         self.latest = None;
     }
 
-    // That of the fastest sensor that is on.
+    // The period of the fastest sensor that is on.
     fn period_ns(&self) -> Option<u64> {
         let period_ns = |on_ns: Option<u64>, config| {
             let period_ns = PERIOD_NS[usize::from(self.setting(config) & 0x0f)];
@@ -231,19 +230,19 @@ impl Sampling for Chip {
         gyro_ns.into_iter().chain(period_ns(self.accel_on_ns, ACCEL_CONFIG0)).min()
     }
 
-    fn land(&mut self, at_ns: u64) {
+    fn store_sample(&mut self, at_ns: u64) {
         let mut sample = (self.source)(at_ns);
-        self.hold_gyro(&mut sample, at_ns);
+        self.apply_adaptive_full_scale(&mut sample, at_ns);
         let has_started = |on_ns: Option<u64>, takes_ns| on_ns.is_some_and(|on_ns| at_ns >= on_ns + takes_ns);
         let gyro = has_started(self.gyro_on_ns, GYRO_START_NS);
         let accel = has_started(self.accel_on_ns, ACCEL_START_NS);
         if gyro {
             let range = self.setting(GYRO_CONFIG0) >> 5;
-            sample.gyro = self.put(GYRO_DATA_X1, sample.gyro, range);
+            sample.gyro = self.write_counts(GYRO_DATA_X1, sample.gyro, range);
         }
         if accel {
             let range = self.setting(ACCEL_CONFIG0) >> 5 & 0b11;
-            sample.accel = self.put(ACCEL_DATA_X1, sample.accel, range);
+            sample.accel = self.write_counts(ACCEL_DATA_X1, sample.accel, range);
         }
         if gyro || accel {
             self.banks[0][usize::from(INT_STATUS)] |= DATA_RDY_INT;
@@ -256,8 +255,8 @@ impl Sampling for Chip {
 }
 
 impl Chip {
-    /// The adaptive full-scale feature.
-    fn hold_gyro(&mut self, sample: &mut ImuSample, at_ns: u64) {
+    /// Applies the adaptive full-scale feature, which holds the gyroscope's registers.
+    fn apply_adaptive_full_scale(&mut self, sample: &mut ImuSample, at_ns: u64) {
         let fast = sample.gyro.iter().any(|counts| counts.unsigned_abs() > ADAPTIVE_STEP_COUNTS);
         if fast != self.gyro_was_fast && self.setting(INTF_CONFIG1) >> 6 == 0b10 {
             self.gyro_held_until_ns = at_ns + ADAPTIVE_HOLD_NS;
@@ -270,10 +269,10 @@ impl Chip {
         }
     }
 
-    /// Writes three counts into the registers from `first` on; returns them as they are there. Each step of
-    /// the range halves it.
-    fn put(&mut self, first: u8, counts: [i16; 3], range: u8) -> [i16; 3] {
-        let counts = counts.map(|axis| (i32::from(axis) << range).clamp(LOWEST_COUNT, 32_767) as i16);
+    /// Writes three counts into the registers from `first` on. Returns the counts as stored. Each step of the range code
+    /// halves the range.
+    fn write_counts(&mut self, first: u8, counts: [i16; 3], range: u8) -> [i16; 3] {
+        let counts = counts.map(|axis| (i32::from(axis) << range).clamp(MIN_COUNT, 32_767) as i16);
         let big_endian = self.setting(INTF_CONFIG0) & 0x10 != 0;
         for (axis, count) in counts.iter().enumerate() {
             let bytes = if big_endian { count.to_be_bytes() } else { count.to_le_bytes() };
@@ -289,7 +288,7 @@ impl Chip {
         if self.setting(INT_CONFIG1) & 0x10 != 0 {
             self.misuse.push(Misuse::AsyncReset);
         } else if self.setting(INT_CONFIG) & 0b111 == 0b011 {
-            // Pulsed, push-pull, active high: any other line gives this board no rising edges.
+            // Pulsed, push-pull, active high: with any other setting this board gets no rising edges.
             self.edges += 1;
         }
     }
@@ -340,12 +339,12 @@ impl Chip {
         }
     }
 
-    /// Low-noise mode is 11 for both sensors; the others are taken for off.
+    /// Changes the mode of both sensors. Low-noise mode is 0b11; every other mode counts as off.
     fn change_mode(&mut self, value: u8, now_ns: u64) {
         let switch = |since_ns: Option<u64>, on: bool| on.then(|| since_ns.unwrap_or(now_ns));
         let gyro_on_ns = switch(self.gyro_on_ns, value >> 2 & 0b11 == 0b11);
         if let (Some(since_ns), None) = (self.gyro_on_ns, gyro_on_ns)
-            && now_ns < since_ns + GYRO_SHORTEST_ON_NS
+            && now_ns < since_ns + GYRO_MIN_ON_NS
         {
             self.misuse.push(Misuse::OffTooEarly);
         }
@@ -355,17 +354,17 @@ impl Chip {
         self.schedule.next_sample_ns = self.period_ns().map(|period_ns| now_ns + period_ns);
     }
 
-    /// One byte out, one byte in.
+    /// Exchanges one byte: returns the answer to the byte `sent`.
     fn exchange(&mut self, sent: u8) -> u8 {
         self.catch_up();
         let now_ns = self.schedule.clock.now_ns();
         let ready = now_ns >= self.ready_ns;
-        // Who does not know of a cut of the supply cannot wait for its end.
-        let knows = self
+        // After an interruption of the supply, which the driver cannot see, an early access is not misuse.
+        let driver_may_wait = self
             .schedule
             .supply_back_ns
             .is_none_or(|back_ns| self.ready_ns != back_ns.saturating_add(READY_NS));
-        if !ready && knows && matches!(self.frame, Frame::Address) {
+        if !ready && driver_may_wait && matches!(self.frame, Frame::Address) {
             self.misuse.push(Misuse::NotReady);
         }
         let mut answer = 0;
@@ -435,7 +434,7 @@ mod tests {
     const MS: u64 = 1_000_000;
     const SAMPLE: ImuSample = ImuSample { gyro: [100, -200, 300], accel: [-1_000, 2_000, -3_000] };
 
-    /// A chip that is ready, which takes the same sample over and over.
+    /// Returns a ready chip that always takes the same sample.
     fn chip() -> (Clock, Icm42688p) {
         let clock = Clock::default();
         let chip = Icm42688p::new(&clock, Box::new(|_| SAMPLE));
@@ -455,7 +454,7 @@ mod tests {
     }
 
     #[test]
-    fn the_range_scales_the_counts() {
+    fn range_scales_the_counts() {
         for (code, factor) in [(0, 1), (1, 2), (2, 4), (3, 8)] {
             let (clock, chip) = chip();
             write(&chip, GYRO_CONFIG0, code << 5 | 6);
@@ -470,7 +469,7 @@ mod tests {
     }
 
     #[test]
-    fn the_rate_sets_the_period() {
+    fn rate_sets_the_period() {
         for (code, period_ns) in
             [(1, 31_250), (3, 125_000), (6, MS), (15, 2 * MS), (7, 5 * MS), (11, 80 * MS)]
         {
@@ -510,7 +509,7 @@ mod tests {
     }
 
     #[test]
-    fn what_the_datasheet_forbids_is_noticed() {
+    fn forbidden_accesses_are_recorded_as_misuse() {
         let misuse = |drive: fn(&Clock, &Icm42688p)| {
             let (clock, chip) = chip();
             drive(&clock, &chip);

@@ -1,15 +1,15 @@
-//! Chips, register by register: what a driver meets at the other end of its bus.
+//! Register-level models of chips, for tests of drivers.
 //!
-//! Here a scene's samples are counts; on a board they are bytes in registers, behind a bus that may fail, in
-//! a chip that may not be the right one, not be ready, or have lost its supply. These models play that other
-//! half, through embedded-hal's traits, so that the drivers that fly are the ones under test.
+//! In a simulated flight a sample is counts. On a board it is bytes in registers, behind a bus that may fail, in a
+//! chip that may be the wrong one, not be ready, or have lost its supply. These models simulate that part through
+//! embedded-hal's traits, so that tests run the same drivers as the firmware.
 //!
-//! A model answers as the datasheet says, and counts as [`Misuse`] what the datasheet forbids. Where the
-//! datasheet is silent it does what is worst for the driver, and its documentation says so.
+//! A model answers as the datasheet says, and records as [`Misuse`] what the datasheet forbids. Where the datasheet
+//! does not say anything, the model assumes the worst case for the driver, and its documentation says so.
 //!
-//! Time is a [`Clock`], integer nanoseconds. Whoever plays the world advances it; so do the driver's delays
-//! and every byte on a bus. A chip catches up with it whenever it is looked at: samples that fell due are
-//! taken, each at its own time, from the closure that the chip was made with.
+//! Time is a [`Clock`], in integer nanoseconds. The test advances it; so do the driver's delays and every byte on a
+//! bus. At every access a chip catches up with the clock: it takes the samples that have become due, each for its own
+//! time, from the closure that it was created with.
 
 pub mod icm42688p;
 pub mod qmc5883l;
@@ -25,12 +25,12 @@ use embedded_hal::delay::DelayNs;
 pub struct Clock(Rc<Cell<u64>>);
 
 impl Clock {
-    /// Time since the start, ns.
+    /// Returns the time since the start, ns.
     pub fn now_ns(&self) -> u64 {
         self.0.get()
     }
 
-    /// Lets time pass.
+    /// Advances the time.
     pub fn advance_ns(&self, ns: u64) {
         self.0.set(self.0.get() + ns);
     }
@@ -42,51 +42,51 @@ impl DelayNs for Clock {
     }
 }
 
-/// What can be wrong with a chip or its bus.
+/// A fault of a chip or its bus.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Fault {
     /// Every nth transaction, counted from the chip's first, fails. On I2C the address is not acknowledged.
     Bus {
-        /// n.
+        /// The period n, transactions.
         every: u32,
     },
-    /// Transactions that begin meanwhile find the data line torn off: every byte reads this. On I2C, where a
-    /// line that is high acknowledges nothing, only a line that is low reads anything.
+    /// The data line is disconnected for transactions that begin during the fault: every byte reads the same value. On
+    /// I2C a high line never acknowledges, so only a low line gives any data.
     NoAnswer {
-        /// 0x00 or 0xff, as the line is pulled.
+        /// The value of each byte: 0x00 or 0xff, for a line that is pulled low or high.
         reads: u8,
     },
-    /// The supply is gone. When it comes back, the chip starts anew.
+    /// The supply is off. When it comes back, the chip restarts.
     NoPower,
-    /// The identity register reads this.
+    /// The identity register reads this value.
     Identity(u8),
-    /// A register does not take what is written to it.
+    /// A register ignores writes.
     StuckRegister {
-        /// Its bank, 0 in a chip without banks.
+        /// Bank of the register, 0 in a chip without banks.
         bank: u8,
-        /// Its address.
+        /// Address of the register.
         address: u8,
     },
-    /// The chip takes no samples: its registers keep what they hold.
+    /// The chip takes no samples: its registers keep their contents.
     Stalled,
 }
 
-/// What a driver did that the datasheet forbids.
+/// An action of a driver that the datasheet forbids.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Misuse {
-    /// Accessed before the chip was ready, after its supply came up or it was reset.
+    /// An access before the chip was ready, after power-up or a reset.
     NotReady,
-    /// Written to within the time for which a change of mode must be left alone.
+    /// A write within the time after a change of mode in which writes are forbidden.
     ModeChanging,
-    /// A setting changed that must not be while the sensors are on.
+    /// A change of a setting that must not change while the sensors are on.
     Sampling,
-    /// Switched off before the shortest time for which it must stay on.
+    /// Switching a sensor off before its minimum on-time.
     OffTooEarly,
-    /// The data-ready line used without clearing the bit that must be cleared for it.
+    /// Use of the data-ready line without clearing INT_ASYNC_RESET, which the datasheet requires.
     AsyncReset,
 }
 
-/// The faults of a chip, and when each of them is.
+/// The faults of a chip, each with its time range.
 #[derive(Debug, Default)]
 struct Faults {
     list: Vec<(Range<u64>, Fault)>,
@@ -94,7 +94,7 @@ struct Faults {
 }
 
 impl Faults {
-    /// The first of the faults at this time for which `pick` has an answer.
+    /// Returns the first result of `pick` for the faults at this time.
     fn find<T>(&self, at_ns: u64, pick: impl Fn(Fault) -> Option<T>) -> Option<T> {
         self.list.iter().filter(|(during, _)| during.contains(&at_ns)).find_map(|(_, fault)| pick(*fault))
     }
@@ -115,7 +115,7 @@ impl Faults {
         self.find(at_ns, |fault| (fault == Fault::StuckRegister { bank, address }).then_some(())).is_some()
     }
 
-    /// Whether the transaction that begins now fails.
+    /// Counts a transaction that begins now. Returns true if it fails.
     fn next_transaction_fails(&mut self, at_ns: u64) -> bool {
         self.transactions += 1;
         let every =
@@ -123,7 +123,7 @@ impl Faults {
         every.is_some_and(|every| self.transactions.is_multiple_of(every))
     }
 
-    /// The last cut of the supply that had begun by this time.
+    /// Returns the last interruption of the supply that had begun by this time.
     fn power_cut(&self, by_ns: u64) -> Option<Range<u64>> {
         let cuts =
             self.list.iter().filter(|(during, fault)| *fault == Fault::NoPower && during.start <= by_ns);
@@ -131,11 +131,11 @@ impl Faults {
     }
 }
 
-/// When a chip samples, and what is wrong with it.
+/// The sampling times and the faults of a chip.
 struct Schedule {
     clock: Clock,
     faults: Faults,
-    /// When the supply came back, or will, after its last cut.
+    /// End of the last interruption of the supply, ns; it may be in the future.
     supply_back_ns: Option<u64>,
     next_sample_ns: Option<u64>,
 }
@@ -146,20 +146,20 @@ impl Schedule {
     }
 }
 
-/// What every chip here does alike: it takes samples as they fall due, and starts anew when its supply comes back.
+/// The common behaviour of the chips: they take samples when these are due, and restart when the supply comes back.
 trait Sampling {
     fn schedule(&mut self) -> &mut Schedule;
 
-    /// Everything as after power-up or a reset that happens at this time.
+    /// Sets the state after a power-up or a reset at this time.
     fn restart(&mut self, at_ns: u64);
 
-    /// From one sample to the next, as it is set up.
+    /// Returns the sample period of the present configuration, ns, if the chip samples.
     fn period_ns(&self) -> Option<u64>;
 
-    /// Puts the sample of this time into the registers.
-    fn land(&mut self, at_ns: u64);
+    /// Stores the sample of this time in the registers.
+    fn store_sample(&mut self, at_ns: u64);
 
-    /// Does what fell due.
+    /// Handles everything that has become due.
     fn catch_up(&mut self) {
         let Schedule { clock, faults, supply_back_ns, .. } = self.schedule();
         let now_ns = clock.now_ns();
@@ -179,7 +179,7 @@ trait Sampling {
         {
             self.schedule().next_sample_ns = self.period_ns().map(|period_ns| due_ns + period_ns);
             if !self.schedule().faults.stalled(due_ns) {
-                self.land(due_ns);
+                self.store_sample(due_ns);
             }
         }
     }

@@ -1,23 +1,23 @@
-//! The QMC5883L: magnetometer on I2C.
+//! Model of the QMC5883L: magnetometer on I2C.
 //!
-//! After QST's datasheet 1.0 (February 2016); section numbers and quoted rules as the crate `rigless` 0.3
-//! (`chip/qmc5883l.rs`) cites them. Without the data-ready line, the temperature and pointer roll-over, which
-//! the driver does not use.
+//! Source: QST's datasheet 1.0 (February 2016). Section numbers and quoted rules are those that the crate `rigless` 0.3
+//! (`chip/qmc5883l.rs`) cites. The data-ready line, the temperature and pointer roll-over are not modelled, because the
+//! driver does not use them.
 //!
-//! | what | as the datasheet has it |
+//! | subject | in the datasheet |
 //! |---|---|
-//! | address (5.4) | 0x0d; no other is acknowledged |
-//! | power-up (table 7) | nothing is acknowledged for 350 µs; then standby |
-//! | access (8.2) | a write sets the pointer, then registers; reads run on from the pointer |
+//! | address (5.4) | 0x0d; the chip acknowledges no other address |
+//! | power-up (table 7) | the chip acknowledges nothing for 350 µs; then standby |
+//! | access (8.2) | a write sets the pointer, then registers; reads continue from the pointer |
 //! | DRDY (9.2.2) | set by a sample, cleared by reading a data register |
-//! | data protection (6.2.1) | from the first read of a data register to that of 05H samples are lost |
-//! | DOR (9.2.2) | set where a sample is lost or flushes one that was not read, cleared by reading a data register |
+//! | data protection (6.2.1) | from the first read of a data register to that of 05H, samples are lost |
+//! | DOR (9.2.2) | set if a sample is lost or overwrites one that was not read, cleared by reading a data register |
 //! | OVL (9.2.2) | set while an axis is beyond 16 bits |
-//! | SOFT_RST (9.2.4) | every register as after power-up |
+//! | SOFT_RST (9.2.4) | resets every register to its value after power-up |
 //!
-//! The datasheet is silent on these, and so:
+//! The datasheet does not specify these points, so the model assumes:
 //! - A soft reset takes as long as power-up.
-//! - The first sample comes a period after continuous mode was set.
+//! - The first sample comes one period after continuous mode is set.
 
 use std::cell::RefCell;
 use std::rc::Rc;
@@ -40,24 +40,24 @@ const DRDY: u8 = 0x01;
 const OVL: u8 = 0x02;
 const DOR: u8 = 0x04;
 const SOFT_RST: u8 = 0x80;
-/// The bits of CONTROL_2 that keep what is written: roll-over and interrupt.
+/// The writable bits of CONTROL_2: roll-over and interrupt.
 const CONTROL_2_KEPT: u8 = 0x41;
 const READY_NS: u64 = 350_000;
-/// By the code of the data rate.
+/// Sample periods by the code of the data rate, ns.
 const PERIOD_NS: [u64; 4] = [100_000_000, 20_000_000, 10_000_000, 5_000_000];
 
 /// Time of a byte and its acknowledgement on the bus at 400 kHz, ns.
 const BYTE_NS: u64 = 22_500;
 
-/// Where the sensor's counts come from: those at a time, ns, at ±8 G. Beyond 16 bits is out of range.
+/// The source of samples: returns the counts at a time, ns, for the range ±8 G. Counts beyond 16 bits are out of range.
 pub type Source = Box<dyn FnMut(u64) -> [i32; 3]>;
 
-/// A handle on the chip: both the bus that a driver takes, and the view of whoever plays the world.
+/// A handle on the chip: the bus device for the driver, and the interface for the test.
 #[derive(Clone)]
 pub struct Qmc5883l(Rc<RefCell<Chip>>);
 
 impl Qmc5883l {
-    /// A chip whose supply comes up now.
+    /// Creates a chip whose supply comes up now.
     pub fn new(clock: &Clock, source: Source) -> Self {
         let mut chip = Chip {
             schedule: Schedule::new(clock),
@@ -74,27 +74,27 @@ impl Qmc5883l {
         Self(Rc::new(RefCell::new(chip)))
     }
 
-    /// Lets something be wrong for a time, ns.
+    /// Injects a fault for a time range, ns.
     pub fn inject(&self, during: std::ops::Range<u64>, fault: Fault) {
         self.0.borrow_mut().schedule.faults.list.push((during, fault));
     }
 
-    /// What the driver did that it must not.
+    /// Returns the driver's violations of the datasheet.
     pub fn misuse(&self) -> Vec<Misuse> {
         self.0.borrow().misuse.clone()
     }
 
-    /// What a register holds. Looking does not clear anything.
+    /// Returns the content of a register, without side effects on it.
     pub fn register(&self, address: u8) -> u8 {
         self.now().registers[usize::from(address)]
     }
 
-    /// The sample that the data registers hold, at the scale that is set.
+    /// Returns the sample in the data registers, at the configured scale.
     pub fn latest(&self) -> Option<MagSample> {
         self.now().latest
     }
 
-    /// When the next sample falls due, ns.
+    /// Returns the time of the next sample, ns.
     pub fn next_sample_ns(&self) -> Option<u64> {
         self.now().schedule.next_sample_ns
     }
@@ -112,11 +112,11 @@ struct Chip {
     misuse: Vec<Misuse>,
     registers: [u8; 14],
     pointer: u8,
-    /// Data protection: a data register has been read, and the last of them has not.
+    /// Data protection: true if a data register has been read, but not yet the last of them.
     locked: bool,
     ready_ns: u64,
     latest: Option<MagSample>,
-    /// What the data line reads where the chip does not drive it.
+    /// Value of each byte while the data line is disconnected.
     line: Option<u8>,
 }
 
@@ -140,14 +140,14 @@ impl Sampling for Chip {
         (control & 0b11 == 0b01).then(|| PERIOD_NS[usize::from(control >> 2 & 0b11)])
     }
 
-    // Unless they are being read.
-    fn land(&mut self, at_ns: u64) {
+    // Data protection loses the sample while the data registers are being read.
+    fn store_sample(&mut self, at_ns: u64) {
         let status = self.registers[usize::from(STATUS)];
         if self.locked {
             self.registers[usize::from(STATUS)] = status | DOR;
             return;
         }
-        // ±2 G has four times the counts.
+        // The range ±2 G has four times the counts of ±8 G.
         let scale = if self.registers[usize::from(CONTROL_1)] & 0x10 == 0 { 4 } else { 1 };
         let counts = (self.source)(at_ns).map(|axis| axis * scale);
         let ends = i32::from(i16::MIN)..=i32::from(i16::MAX);
@@ -173,7 +173,7 @@ impl Chip {
             return reads;
         }
         if now_ns < self.ready_ns {
-            // The supply went after the address was acknowledged: nobody pulls the line low any more.
+            // The supply failed after the chip had acknowledged its address, so the line stays high.
             return 0xff;
         }
         let value = match address {
@@ -210,24 +210,24 @@ impl Chip {
         }
     }
 
-    /// Whether the chip acknowledges its address now.
+    /// Returns true if the chip acknowledges this address now.
     fn acknowledges(&mut self, address: u8) -> bool {
         let now_ns = self.schedule.clock.now_ns();
         self.schedule.clock.advance_ns(BYTE_NS);
         let ready = now_ns >= self.ready_ns;
-        // Who does not know of a cut of the supply cannot wait for its end.
-        let knows = self
+        // After an interruption of the supply, which the driver cannot see, an early access is not misuse.
+        let driver_may_wait = self
             .schedule
             .supply_back_ns
             .is_none_or(|back_ns| self.ready_ns != back_ns.saturating_add(READY_NS));
-        if !ready && knows && address == ADDRESS {
+        if !ready && driver_may_wait && address == ADDRESS {
             self.misuse.push(Misuse::NotReady);
         }
         let fails = self.schedule.faults.next_transaction_fails(now_ns);
         self.line = self.schedule.faults.no_answer(now_ns);
         match self.line {
             None => ready && address == ADDRESS && !fails,
-            // A line that is low acknowledges anything.
+            // A low line acknowledges any address.
             Some(reads) => reads == 0,
         }
     }
@@ -246,7 +246,7 @@ impl I2c for Qmc5883l {
         for operation in operations {
             match operation {
                 Operation::Read(received) => {
-                    // The address once more, to turn the direction.
+                    // A repeated start sends the address again, to change the direction.
                     chip.schedule.clock.advance_ns(BYTE_NS);
                     received.fill_with(|| chip.read_next());
                 }
@@ -267,7 +267,7 @@ impl I2c for Qmc5883l {
 mod tests {
     use super::*;
 
-    /// A chip that is ready, which takes the same sample over and over.
+    /// Returns a ready chip that always takes the same sample.
     fn chip() -> (Clock, Qmc5883l) {
         let clock = Clock::default();
         let chip = Qmc5883l::new(&clock, Box::new(|_| [1_000, -2_000, 9_000]));
@@ -276,7 +276,7 @@ mod tests {
     }
 
     #[test]
-    fn range_and_rate_are_those_that_are_set() {
+    fn range_and_rate_follow_the_configuration() {
         for (code, period_ns) in [(0, 100_000_000), (1, 20_000_000), (2, 10_000_000), (3, 5_000_000)] {
             let (clock, chip) = chip();
             chip.clone().write(ADDRESS, &[CONTROL_1, 0x10 | code << 2 | 1]).unwrap();
@@ -294,7 +294,7 @@ mod tests {
     }
 
     #[test]
-    fn it_answers_at_its_address_when_it_is_ready() {
+    fn ready_chip_acknowledges_its_address() {
         let (_, mut ready) = chip();
         assert_eq!(ready.write(ADDRESS, &[CHIP_ID]), Ok(()));
         assert!(ready.write(0x1e, &[CHIP_ID]).is_err());

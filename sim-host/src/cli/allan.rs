@@ -1,4 +1,4 @@
-//! The command `allan`: from a recording to a sensor's figures.
+//! The command `allan`: identifies the errors of a sensor from a recording at rest.
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -12,49 +12,49 @@ use serde_json::{Map, Value, json};
 use sim_host::identify::model::{self, Analysed, Provenance, Role};
 use sim_host::identify::plot;
 use sim_host::identify::recording::{Column, Layout, Recording};
-use sim_host::output_file::{self, spare};
+use sim_host::output_file::{self, check_outputs};
 
 use super::{Answer, progress};
 
-/// Longest work that is begun without being told to, s.
-const LONGEST_S: f64 = 600.0;
+/// Longest estimated work without `--force`, s.
+const MAX_WORK_S: f64 = 600.0;
 
 #[derive(clap::Args)]
 pub struct AllanArguments {
-    /// The recording, of a sensor lying still: columns of numbers, parted by commas, semicolons or tabs
+    /// Recording of a sensor at rest: columns of numbers, separated by commas, semicolons or tabs
     log: PathBuf,
-    /// Which columns, by name or number from 1; ROLE=COLUMN gives one a name that says what it is, such as
-    /// gyro_x_deg_s=wx. Without this the columns of the project's logs, or the only one there is
+    /// Column to analyse, by name or by number from 1; may be repeated. ROLE=COLUMN says what a column is, for
+    /// example gyro_x_deg_s=wx [default: the sensor columns of a log, or the only column]
     #[arg(long, value_name = "C", num_args = 1)]
     column: Vec<String>,
-    /// Rows a second, instead of what the stamps in time_s say
+    /// Rows per second [default: from the times in the column time_s]
     #[arg(long, value_name = "R")]
     rate_hz: Option<f64>,
-    /// Averaging times
+    /// Averaging times: factors of 2 (octave), of 10 (decade), logarithmic steps or all
     #[arg(long, value_enum, default_value_t = TausName::Octave)]
     taus: TausName,
-    /// Which deviation is listed and plotted; the coefficients are always fitted to the overlapping one
+    /// Deviation to list and plot; the coefficients are always fitted to the overlapping one
     #[arg(long, value_enum, default_value_t = StatisticName::Overlapping)]
     statistic: StatisticName,
-    /// The columns are angles, velocities or phases: integrals of what is analysed
+    /// The columns are integrals (angles, velocities, phases) of the quantity to analyse
     #[arg(long)]
     phase: bool,
-    /// Draw the deviations with their bounds, slopes and coefficients
+    /// Write a plot of the deviations with their bounds, slopes and coefficients
     #[arg(long, value_name = "F.svg")]
     plot: Option<PathBuf>,
     /// Write a sensor preset, for `imu = "F.toml"` in a scene
     #[arg(long, value_name = "F.toml")]
     imu: Option<PathBuf>,
-    /// Write the imu.yaml of Kalibr, VINS and OpenVINS
+    /// Write an imu.yaml for Kalibr, VINS or OpenVINS
     #[arg(long, value_name = "F.yaml")]
     kalibr: Option<PathBuf>,
-    /// Begin even if it will take more than 10 minutes
+    /// Run even if the estimated time is above 10 minutes
     #[arg(long)]
     force: bool,
-    /// What parts the columns, where the file leaves a doubt
+    /// Separator of the columns [default: detected]
     #[arg(long, value_enum)]
     separator: Option<SeparatorName>,
-    /// Whether the first row is a header, where the file leaves a doubt
+    /// Whether the first row is a header [default: detected]
     #[arg(long, value_enum)]
     header: Option<YesNo>,
 }
@@ -119,7 +119,7 @@ impl AllanArguments {
     }
 }
 
-/// A column with its deviations.
+/// Result of the analysis of one column.
 struct Analysis {
     analysed: Analysed,
     points: Vec<Point>,
@@ -138,15 +138,13 @@ pub fn run(arguments: &AllanArguments) -> Result<Answer, InputError> {
         ("--imu", arguments.imu.as_deref()),
         ("--kalibr", arguments.kalibr.as_deref()),
     ];
-    spare(&[&arguments.log], &outputs)?;
+    check_outputs(&[&arguments.log], &outputs)?;
     let recording = Recording::open(&arguments.log, arguments.layout())?;
-    let wanted = wanted(&recording, arguments)?;
+    let selected = selected(&recording, arguments)?;
     let time = match arguments.rate_hz {
         Some(_) => None,
         None => Some(recording.names().iter().position(|name| name == "time_s").ok_or_else(|| {
-            recording
-                .error("the rate is missing: the file has no column time_s; say --rate-hz")
-                .field("--rate-hz")
+            recording.error("is missing: the file has no column time_s").field("--rate-hz")
         })?),
     };
     let temperature =
@@ -156,9 +154,9 @@ pub fn run(arguments: &AllanArguments) -> Result<Answer, InputError> {
     let mut rate_hz = arguments.rate_hz;
     let mut range = None;
     let at_once = recording.columns_at_once();
-    for (pass, columns) in wanted.chunks(at_once).enumerate() {
+    for (pass, columns) in selected.chunks(at_once).enumerate() {
         let bar = progress::bar(recording.bytes(), &format!("read {}", arguments.log.display()));
-        // Stamps and temperature are the same for all columns.
+        // Times and temperature are the same for all columns.
         let first = pass == 0;
         let contents =
             recording.read(columns, time.filter(|_| first), temperature.filter(|_| first), &|bytes| {
@@ -170,7 +168,7 @@ pub fn run(arguments: &AllanArguments) -> Result<Answer, InputError> {
         }
         range = range.or(contents.temperature);
         let Some(rate_hz) = rate_hz else {
-            return Err(recording.error("the rate is missing").field("--rate-hz"));
+            return Err(recording.error("is missing").field("--rate-hz"));
         };
         for column in contents.columns {
             results.push(analyse(column, rate_hz, arguments).map_err(|error| error.file(&arguments.log))?);
@@ -197,26 +195,26 @@ fn is_temperature(name: &str) -> bool {
     name.starts_with("temp")
 }
 
-/// The columns to analyse, with the names that they go by.
-fn wanted(recording: &Recording, arguments: &AllanArguments) -> Result<Vec<(usize, String)>, InputError> {
+/// Returns the columns to analyse: the index in the file and the name of each.
+fn selected(recording: &Recording, arguments: &AllanArguments) -> Result<Vec<(usize, String)>, InputError> {
     let names = recording.names();
     if arguments.column.is_empty() {
-        let ours: Vec<(usize, String)> =
+        let sensor_columns: Vec<(usize, String)> =
             names.iter().cloned().enumerate().filter(|(_, name)| Role::of(name).is_some()).collect();
-        if !ours.is_empty() {
-            return Ok(ours);
+        if !sensor_columns.is_empty() {
+            return Ok(sensor_columns);
         }
         let data = |name: &&String| *name != "time_s" && !is_temperature(name);
         return match names.iter().filter(data).collect::<Vec<_>>().as_slice() {
             [only] => Ok(vec![(recording.find(only)?, (*only).clone())]),
             _ => Err(recording
-                .error(format!("which of the columns? Say --column; there are {}", names.join(", ")))
+                .error(format!("must name a column: the file has {}", names.join(", ")))
                 .field("--column")),
         };
     }
-    let mut wanted: Vec<(usize, String)> = Vec::new();
+    let mut selected: Vec<(usize, String)> = Vec::new();
     for column in &arguments.column {
-        let (place, name) = match column.split_once('=') {
+        let (index, name) = match column.split_once('=') {
             Some((role, from)) if !names.contains(column) => {
                 if Role::of(role).is_none() {
                     return Err(InputError::new(
@@ -229,16 +227,16 @@ fn wanted(recording: &Recording, arguments: &AllanArguments) -> Result<Vec<(usiz
                 (recording.find(from)?, role.to_owned())
             }
             _ => {
-                let place = recording.find(column)?;
-                (place, names[place].clone())
+                let index = recording.find(column)?;
+                (index, names[index].clone())
             }
         };
-        if wanted.iter().any(|(_, other)| *other == name) {
-            return Err(InputError::new("must be named once").field("--column").value(column));
+        if selected.iter().any(|(_, other)| *other == name) {
+            return Err(InputError::new("names a column a second time").field("--column").value(column));
         }
-        wanted.push((place, name));
+        selected.push((index, name));
     }
-    Ok(wanted)
+    Ok(selected)
 }
 
 fn analyse(column: Column, row_rate_hz: f64, arguments: &AllanArguments) -> Result<Analysis, InputError> {
@@ -255,10 +253,10 @@ fn analyse(column: Column, row_rate_hz: f64, arguments: &AllanArguments) -> Resu
     let statistic = arguments.statistic();
     let factors = arguments.taus().factors(statistic.largest_factor(phase.samples()));
     let expected_s = estimate_s(statistic, phase.samples(), &factors, threads);
-    if expected_s > LONGEST_S && !arguments.force {
+    if expected_s > MAX_WORK_S && !arguments.force {
         return Err(InputError::new(format!(
-            "{} averaging times of {} samples would take about {:.0} minutes; --force does it, --taus log or octave \
-             is quick",
+            "{} averaging times of {} samples would take about {:.0} minutes: --force allows it, --taus log or octave \
+             takes less",
             factors.len(),
             phase.samples(),
             expected_s / 60.0
@@ -285,7 +283,7 @@ fn analyse(column: Column, row_rate_hz: f64, arguments: &AllanArguments) -> Resu
         rate_hz,
         samples: phase.samples(),
         mean,
-        // The steps of an angle are no steps of its rate.
+        // The quantization step of an angle says nothing about that of its rate.
         step: step.filter(|_| !arguments.phase),
         rises: phase.rises(),
         fit,
@@ -300,7 +298,7 @@ fn write_files(
     provenance: &Provenance,
 ) -> Result<(), InputError> {
     let columns: Vec<Analysed> = results.iter().map(|r| r.analysed.clone()).collect();
-    // All texts before the first file: what one of them refuses must not leave another behind.
+    // All texts are made before the first file is written, so that an error leaves no file behind.
     let mut files: Vec<(&Path, String)> = Vec::new();
     if let Some(path) = &arguments.imu {
         files.push((path, model::preset(&columns, provenance)?));
@@ -316,7 +314,7 @@ fn write_files(
         let longest =
             results.iter().map(|r| r.analysed.samples as f64 / r.analysed.rate_hz).fold(0.0, f64::max);
         let heading = (
-            format!("{} Allan deviation", statistic_name(arguments.statistic())),
+            deviation_name(arguments.statistic()).to_owned(),
             format!("{}, {longest:.0} s; slopes of the fitted errors dashed", provenance.file),
         );
         files.push((path, plot::chart(heading, panels.collect()).to_svg_file()));
@@ -327,13 +325,13 @@ fn write_files(
     Ok(())
 }
 
-fn statistic_name(statistic: Statistic) -> &'static str {
+fn deviation_name(statistic: Statistic) -> &'static str {
     match statistic {
-        Statistic::Overlapping => "Overlapping",
-        Statistic::Standard => "Standard",
-        Statistic::Modified => "Modified",
-        Statistic::Hadamard => "Overlapping Hadamard, not",
-        Statistic::Total => "Total",
+        Statistic::Overlapping => "Overlapping Allan deviation",
+        Statistic::Standard => "Standard Allan deviation",
+        Statistic::Modified => "Modified Allan deviation",
+        Statistic::Hadamard => "Overlapping Hadamard deviation",
+        Statistic::Total => "Total Allan deviation",
     }
 }
 
@@ -341,20 +339,20 @@ fn to_json(results: &[Analysis], rate_hz: f64, wall_s: f64, provenance: &Provena
     let mut columns = Map::new();
     for result in results {
         let Analysed { name, rate_hz, samples, mean, step, fit, .. } = &result.analysed;
-        let of = |what: fn(&Point) -> Value| result.points.iter().map(what).collect::<Vec<_>>();
+        let list = |value: fn(&Point) -> Value| result.points.iter().map(value).collect::<Vec<_>>();
         let mut object = json!({
             "unit": result.unit,
             "rate_hz": rate_hz,
             "samples": samples,
             "mean": mean,
             "step": step,
-            "tau_s": of(|p| json!(p.tau_s)),
-            "deviation": of(|p| json!(p.deviation)),
-            "lower": of(|p| json!(p.lower)),
-            "upper": of(|p| json!(p.upper)),
-            "pairs": of(|p| json!(p.pairs)),
-            "edf": of(|p| json!(p.edf)),
-            "alpha": of(|p| json!(p.alpha)),
+            "tau_s": list(|p| json!(p.tau_s)),
+            "deviation": list(|p| json!(p.deviation)),
+            "lower": list(|p| json!(p.lower)),
+            "upper": list(|p| json!(p.upper)),
+            "pairs": list(|p| json!(p.pairs)),
+            "edf": list(|p| json!(p.edf)),
+            "alpha": list(|p| json!(p.alpha)),
             "fitted_s": fit.range_s.map(|(from, to)| [from, to]),
             "note": fit.note,
         });
@@ -364,8 +362,8 @@ fn to_json(results: &[Analysis], rate_hz: f64, wall_s: f64, provenance: &Provena
             object[name] = json!(found.value());
             match found {
                 Found::Value { uncertainty: u, .. } => uncertainty.insert(name.into(), json!(u)),
-                Found::Hidden { reason: r, at_most: most } => {
-                    at_most.insert(name.into(), json!(most));
+                Found::Hidden { reason: r, at_most: max } => {
+                    at_most.insert(name.into(), json!(max));
                     reason.insert(name.into(), json!(r))
                 }
             };
@@ -380,7 +378,8 @@ fn to_json(results: &[Analysis], rate_hz: f64, wall_s: f64, provenance: &Provena
 }
 
 fn describe(results: &[Analysis], arguments: &AllanArguments, rate_hz: f64, wall_s: f64) -> String {
-    let mut text = format!("{}: {rate_hz:.6} rows a second, {wall_s:.2} s\n", arguments.log.display());
+    let mut text =
+        format!("{}: {rate_hz:.6} rows per second, analysed in {wall_s:.2} s\n", arguments.log.display());
     for Analysis { analysed, points, unit } in results {
         let length_s = analysed.samples as f64 / analysed.rate_hz;
         let _ = write!(
@@ -394,13 +393,13 @@ fn describe(results: &[Analysis], arguments: &AllanArguments, rate_hz: f64, wall
                 "  {} {:<17} {}",
                 coefficient.letter(),
                 coefficient.name().replace('_', " "),
-                plot::said(coefficient, found, unit)
+                plot::describe(coefficient, found, unit)
             );
         }
         if let Some(note) = &analysed.fit.note {
             let _ = writeln!(text, "  note: {note}");
         }
-        // All τ of a long record would be a book.
+        // More lines than this are not useful in a terminal; --json and --plot have all τ.
         if points.len() <= 60 {
             let _ = writeln!(
                 text,

@@ -9,38 +9,38 @@ use input::InputError;
 use serde_json::json;
 use sim_host::campaign::{self, Campaign, Run, Shard, Summary};
 use sim_host::interrupt;
-use sim_host::output_file::{OutputFile, spare};
+use sim_host::output_file::{OutputFile, check_outputs};
 use sim_host::scene::Scene;
 
 use super::{Answer, FlyArguments, MergeArguments, progress};
 
-/// Flights with seeds counting up from the scene's.
+/// Flies the campaign, or one shard of it, and writes the file of results.
 pub fn fly(scene: &Scene, arguments: &FlyArguments) -> Result<Answer, InputError> {
     let campaign = Campaign::new(scene, arguments.runs);
-    let shard = arguments.shard.unwrap_or(Shard::WHOLE);
+    let shard = arguments.shard.unwrap_or(Shard::ALL);
     if shard.parts() > campaign.runs {
-        let allowed = format!("must be no more parts than the {} runs", campaign.runs);
+        let allowed = format!("must have at most as many shards as there are runs, {}", campaign.runs);
         return Err(InputError::new(allowed).field("--shard").value(format!("…/{}", shard.parts())));
     }
-    spare(&scene.inputs(), &[("--out", arguments.out.as_deref())])?;
+    check_outputs(&scene.inputs(), &[("--out", arguments.out.as_deref())])?;
     let runs = shard.runs(campaign.runs);
-    let wanted = runs.end - runs.start;
+    let runs_to_fly = runs.end - runs.start;
     let jobs = match arguments.jobs {
         Some(jobs) => NonZeroUsize::from(jobs),
         None => std::thread::available_parallelism().unwrap_or(NonZeroUsize::MIN),
     };
 
-    let stop = interrupt::flag();
-    // Begun now: a file that cannot be written is told of before hours of flying.
+    let stop = interrupt::stop_flag();
+    // Created before the flights: a file that cannot be written is an error now, not after hours of flying.
     let file = arguments.out.as_ref().map(OutputFile::create).transpose()?;
-    let bar = progress::bar(wanted, &scene.name);
+    let bar = progress::bar(runs_to_fly, &scene.name);
     let start = Instant::now();
     let flown = campaign::fly(scene, &campaign, runs, jobs, &stop, &|| bar.inc(1));
     let wall_s = start.elapsed().as_secs_f64();
     bar.finish_and_clear();
-    if stop.load(Ordering::Relaxed) && (flown.len() as u64) < wanted {
+    if stop.load(Ordering::Relaxed) && (flown.len() as u64) < runs_to_fly {
         let summary = Summary::new(&campaign, &flown);
-        interrupt::end(&format!("interrupted, no file written: {summary}"));
+        interrupt::exit(&format!("interrupted, no file written: {summary}"));
     }
 
     let mut answer = answer(&campaign, &flown, arguments.max_failures);
@@ -53,10 +53,10 @@ pub fn fly(scene: &Scene, arguments: &FlyArguments) -> Result<Answer, InputError
     Ok(answer)
 }
 
-/// The parts of a campaign as if it had been flown in one go.
+/// Merges the shards of a campaign: the result is that of the campaign flown at once.
 pub fn merge(arguments: &MergeArguments) -> Result<Answer, InputError> {
     let parts: Vec<&Path> = arguments.parts.iter().map(PathBuf::as_path).collect();
-    spare(&parts, &[("--out", arguments.out.as_deref())])?;
+    check_outputs(&parts, &[("--out", arguments.out.as_deref())])?;
     let (campaign, runs) = campaign::merge(&arguments.parts)?;
     if let Some(path) = &arguments.out {
         campaign::write(OutputFile::create(path)?, &campaign, &runs)?;

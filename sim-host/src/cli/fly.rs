@@ -6,7 +6,7 @@ use std::time::Instant;
 use input::InputError;
 use sim_host::flight::summary::{describe, to_json, verdict};
 use sim_host::flight::{Flight, FlightLog};
-use sim_host::output_file::spare;
+use sim_host::output_file::check_outputs;
 use sim_host::report::{self, Recorder};
 use sim_host::scene::Scene;
 
@@ -15,18 +15,18 @@ use super::{Answer, FlyArguments, campaign, load};
 
 pub fn run(arguments: &FlyArguments) -> Result<Answer, InputError> {
     let scene = load(&arguments.scene, arguments.vehicle.as_deref(), arguments.seed, arguments.duration)?;
-    // A file of results is one of a campaign, even if that is a single run.
+    // With --out even a single run is a campaign: the file of results has its columns.
     if arguments.runs > 1 || arguments.out.is_some() {
         campaign::fly(&scene, arguments)
     } else {
-        one(&scene, arguments)
+        fly_once(&scene, arguments)
     }
 }
 
-/// One flight, with whatever is to be written about it.
-fn one(scene: &Scene, arguments: &FlyArguments) -> Result<Answer, InputError> {
+/// Flies one flight and writes the log and the report that were asked for.
+fn fly_once(scene: &Scene, arguments: &FlyArguments) -> Result<Answer, InputError> {
     let (log, report) = (arguments.log.as_deref(), arguments.report.as_deref());
-    spare(&scene.inputs(), &[("--log", log), ("--report", report)])?;
+    check_outputs(&scene.inputs(), &[("--log", log), ("--report", report)])?;
     let log = log.map(|path| FlightLog::create(path, scene)).transpose()?;
     let recorder = arguments.report.as_ref().map(|_| Recorder::new());
     let progress = FlightProgress::new(scene.duration_s, &scene.name);
@@ -45,8 +45,8 @@ fn one(scene: &Scene, arguments: &FlyArguments) -> Result<Answer, InputError> {
         report::write(path, scene, scene.seed, &outcome, recorder)?;
     }
     let mut text = describe(scene, &outcome, &verdict(&outcome), wall_s);
-    for (name, value) in scene.of_run(scene.seed).1 {
-        write!(text, "\n  drawn: {name:<33} {value:.6e}").expect("a String takes everything");
+    for (name, value) in scene.for_run(scene.seed).1 {
+        write!(text, "\n  drawn: {name:<33} {value:.6e}").expect("writing to a String does not fail");
     }
     Ok(Answer {
         json: to_json(scene, scene.seed, &outcome, wall_s),

@@ -8,10 +8,10 @@ use std::time::Instant;
 use input::InputError;
 use serde_json::{Value, json};
 use sim_host::flight::{FlightLog, summary};
-use sim_host::hil::{self, Account, Faults, Flown, LinkError, Received, Report, Serial, Wire};
+use sim_host::hil::{self, Faults, Flown, LinkError, QemuExit, Received, Report, Serial, Wire};
 use sim_host::image::image_sha256;
 use sim_host::interrupt;
-use sim_host::output_file::spare;
+use sim_host::output_file::check_outputs;
 use sim_host::report::{self, Recorder};
 use sim_host::scene::Scene;
 
@@ -23,7 +23,7 @@ pub fn run(arguments: &HilArguments) -> Result<Answer, InputError> {
     match &arguments.board.serial {
         Some(port) => {
             let mut serial = Serial::open(port)?;
-            let (flown, wall_s) = one(&mut serial, &scene, arguments)?;
+            let (flown, wall_s) = fly_once(&mut serial, &scene, arguments)?;
             Ok(answer(&scene, port, &flown, wall_s, None))
         }
         None => on_qemu(&scene, arguments),
@@ -37,11 +37,11 @@ fn on_qemu(scene: &Scene, arguments: &HilArguments) -> Result<Answer, InputError
     }
     let image = image(arguments)?;
     let mut qemu = hil::Qemu::start(&image)?;
-    let (flown, wall_s) = one(&mut qemu, scene, arguments)?;
+    let (flown, wall_s) = fly_once(&mut qemu, scene, arguments)?;
     Ok(answer(scene, &image, &flown, wall_s, Some(&qemu.end())))
 }
 
-/// The image that is given, or built.
+/// Returns the image of `--image`, or builds one.
 #[cfg(unix)]
 fn image(arguments: &HilArguments) -> Result<PathBuf, InputError> {
     arguments.image.as_deref().map_or_else(|| hil::build(hil::PIPES), hil::check)
@@ -51,16 +51,16 @@ fn image(arguments: &HilArguments) -> Result<PathBuf, InputError> {
 fn with_log(scene: &Scene, arguments: &HilArguments) -> Result<Answer, InputError> {
     let image = image(arguments)?;
     let mut qemu = hil::WithLog::start(&image, |line| eprintln!("{line}"))?;
-    let (flown, wall_s) = one(&mut qemu, scene, arguments)?;
+    let (flown, wall_s) = fly_once(&mut qemu, scene, arguments)?;
     Ok(answer(scene, &image, &flown, wall_s, Some(&qemu.end())))
 }
 
 #[cfg(all(unix, not(all(target_os = "linux", feature = "firmware-log"))))]
 fn with_log(_: &Scene, _: &HilArguments) -> Result<Answer, InputError> {
     let needed = if cfg!(target_os = "linux") {
-        "needs a program with the decoder: cargo run --release -p sim-host --features firmware-log -- hil ..."
+        "needs a build with the decoder: cargo run --release -p sim-host --features firmware-log -- hil ..."
     } else {
-        "needs Linux, to read the emulator's memory"
+        "needs Linux, to read QEMU's memory"
     };
     Err(InputError::new(needed).field("--firmware-log"))
 }
@@ -70,24 +70,31 @@ fn on_qemu(_: &Scene, _: &HilArguments) -> Result<Answer, InputError> {
     Err(InputError::new("needs named pipes, which this system does not have").field("--qemu"))
 }
 
-/// One flight, with whatever is to be written about it.
-fn one(wire: &mut impl Wire, scene: &Scene, arguments: &HilArguments) -> Result<(Flown, f64), InputError> {
+/// Flies one flight and writes the log and the report that were asked for.
+fn fly_once(
+    wire: &mut impl Wire,
+    scene: &Scene,
+    arguments: &HilArguments,
+) -> Result<(Flown, f64), InputError> {
     let mut inputs = scene.inputs();
     inputs.extend(arguments.image.as_deref());
-    spare(&inputs, &[("--log", arguments.log.as_deref()), ("--report", arguments.report.as_deref())])?;
+    check_outputs(
+        &inputs,
+        &[("--log", arguments.log.as_deref()), ("--report", arguments.report.as_deref())],
+    )?;
     let log = arguments.log.as_ref().map(|path| FlightLog::create(path, scene)).transpose()?;
     let recorder = arguments.report.as_ref().map(|_| Recorder::new());
     let progress = FlightProgress::new(scene.duration_s, &scene.name);
 
     let mut observer = ((log, recorder), progress);
-    let stop = interrupt::flag();
+    let stop = interrupt::stop_flag();
     let start = Instant::now();
     let flown = hil::fly(wire, scene, scene.seed, faults(arguments), stop, &mut observer);
     let wall_s = start.elapsed().as_secs_f64();
     let ((log, recorder), progress) = observer;
     progress.finish();
 
-    // A flight that was broken off leaves no file that reads like a short one.
+    // An interrupted flight writes no files: they would look like those of a short flight.
     if flown.ended.is_ok() {
         if let Some(log) = log {
             log.finish()?;
@@ -102,32 +109,32 @@ fn one(wire: &mut impl Wire, scene: &Scene, arguments: &HilArguments) -> Result<
 fn faults(arguments: &HilArguments) -> Faults {
     let from_us = (arguments.delay_at_s.unwrap_or(0.0) * 1e6) as u64;
     let for_us = u64::from(arguments.delay_ms.unwrap_or(0)) * 1_000;
-    Faults { flip_bit_every: arguments.flip_bit_every, held_back_us: from_us..from_us + for_us }
+    Faults { flip_bit_every: arguments.flip_bit_every, dropped_us: from_us..from_us + for_us }
 }
 
-/// Why the flight is not as it should be, a crash of the vehicle apart.
-fn complaint(flown: &Flown, account: Option<&Account>) -> Option<String> {
-    match (&flown.ended, account) {
-        (Err(LinkError::Closed), Some(account)) => Some(account.how()),
+/// Returns what went wrong besides a crash of the vehicle, if anything.
+fn violation(flown: &Flown, exit: Option<&QemuExit>) -> Option<String> {
+    match (&flown.ended, exit) {
+        (Err(LinkError::Closed), Some(exit)) => Some(exit.description()),
         (Err(error), _) => Some(error.to_string()),
-        (Ok(()), Some(account)) if !account.is_success() => Some(account.how()),
-        (Ok(()), _) if !flown.report.is_clean() => Some("the link has lost or damaged frames".into()),
+        (Ok(()), Some(exit)) if !exit.is_success() => Some(exit.description()),
+        (Ok(()), _) if !flown.report.is_clean() => Some("the link lost or damaged frames".into()),
         (Ok(()), _) => None,
     }
 }
 
-fn answer(scene: &Scene, firmware: &Path, flown: &Flown, wall_s: f64, account: Option<&Account>) -> Answer {
+fn answer(scene: &Scene, firmware: &Path, flown: &Flown, wall_s: f64, exit: Option<&QemuExit>) -> Answer {
     let Flown { outcome, ended, report } = flown;
-    let complaint = complaint(flown, account);
-    let verdict = match (ended, &complaint) {
-        (Err(_), Some(why)) => format!("BROKEN OFF at {:.3} s: {why}", outcome.flown_s()),
+    let violation = violation(flown, exit);
+    let verdict = match (ended, &violation) {
+        (Err(_), Some(why)) => format!("ABORTED at {:.3} s: {why}", outcome.flown_s()),
         (Ok(()), Some(why)) => format!("{}, BUT {why}", summary::verdict(outcome)),
         _ => summary::verdict(outcome),
     };
-    let unmodelled = account.map(|account| &account.unmodelled[..]);
-    // At a port nobody knows what the board runs.
-    let sha256 = account.and_then(|_| image_sha256(&fs::read(firmware).ok()?).ok());
-    let last_words = account.filter(|_| complaint.is_some()).map_or(&[][..], |account| &account.last_words);
+    let unmodelled = exit.map(|exit| &exit.unmodelled[..]);
+    // Only for QEMU: the image of a board at a serial port is unknown.
+    let sha256 = exit.and_then(|_| image_sha256(&fs::read(firmware).ok()?).ok());
+    let output_tail = exit.filter(|_| violation.is_some()).map_or(&[][..], |exit| &exit.output_tail);
 
     let mut text = summary::describe(scene, outcome, &verdict, wall_s);
     write!(
@@ -148,26 +155,26 @@ fn answer(scene: &Scene, firmware: &Path, flown: &Flown, wall_s: f64, account: O
         resets(report),
         report.missed_deadlines,
         report.mean_instructions().map_or("not counted".into(), |mean| {
-            format!("mean {mean:.0}, most {} from sample to motors", report.most_instructions)
+            format!("mean {mean:.0}, maximum {} from sample to motors", report.max_instructions)
         }),
     )
-    .expect(TAKES_ALL);
+    .expect(NEVER_FAILS);
     if let Some(unmodelled) = unmodelled {
-        write!(text, "\n  unmodelled accesses      {}", unmodelled.len()).expect(TAKES_ALL);
+        write!(text, "\n  unmodelled accesses      {}", unmodelled.len()).expect(NEVER_FAILS);
         for line in unmodelled.iter().take(MAX_LINES) {
-            write!(text, "\n    {line}").expect(TAKES_ALL);
+            write!(text, "\n    {line}").expect(NEVER_FAILS);
         }
     }
-    if !last_words.is_empty() {
-        write!(text, "\n  the emulator's last words").expect(TAKES_ALL);
-        last_words.iter().for_each(|line| write!(text, "\n    {line}").expect(TAKES_ALL));
+    if !output_tail.is_empty() {
+        write!(text, "\n  last output of QEMU and firmware").expect(NEVER_FAILS);
+        output_tail.iter().for_each(|line| write!(text, "\n    {line}").expect(NEVER_FAILS));
     }
 
     let mut json = summary::to_json(scene, scene.seed, outcome, wall_s);
     let further = json!({
         "firmware": firmware.display().to_string(),
         "image_sha256": sha256,
-        "ended_by": complaint,
+        "ended_by": violation,
         "frames": report.frames,
         "unanswered": report.unanswered,
         "to_board": to_json(report.to_board),
@@ -178,19 +185,19 @@ fn answer(scene: &Scene, firmware: &Path, flown: &Flown, wall_s: f64, account: O
         })).collect::<Vec<_>>(),
         "missed_deadlines": report.missed_deadlines,
         "instructions_mean": report.mean_instructions(),
-        "instructions_max": report.mean_instructions().map(|_| report.most_instructions),
+        "instructions_max": report.mean_instructions().map(|_| report.max_instructions),
         "unmodelled_accesses": unmodelled.map(<[String]>::len),
-        "last_words": last_words,
+        "output_tail": output_tail,
     });
     if let (Value::Object(json), Value::Object(further)) = (&mut json, further) {
         json.extend(further);
     }
-    Answer { json, text, failed: complaint.is_some() || outcome.crash.is_some() }
+    Answer { json, text, failed: violation.is_some() || outcome.crash.is_some() }
 }
 
-/// A `String` never refuses to be written to.
-const TAKES_ALL: &str = "a String takes everything";
-/// More lines of unmodelled accesses are only counted.
+/// Why the result of writing to a `String` is not handled.
+const NEVER_FAILS: &str = "writing to a String does not fail";
+/// Unmodelled accesses that are printed; further ones are only counted.
 const MAX_LINES: usize = 10;
 
 fn in_words(received: Received) -> String {

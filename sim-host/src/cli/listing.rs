@@ -1,4 +1,4 @@
-//! The commands `scenes` and `plan`: what there is, and what runs.
+//! The commands `scenes`, which lists the built-in scenes, and `plan`, which shows the effects of one.
 
 use std::fmt::Write as _;
 
@@ -16,7 +16,7 @@ pub fn scenes() -> Result<Answer, InputError> {
         let scene = Scene::parse(built_in.name, built_in.text)?;
         let effects = scene.effects();
         writeln!(text, "{:<14}{}\n{:14}effects: {}", scene.name, scene.description, "", effects.join(", "))
-            .expect("a String takes everything");
+            .expect("writing to a String does not fail");
         list.push(json!({
             "name": scene.name,
             "description": scene.description,
@@ -30,22 +30,23 @@ pub fn scenes() -> Result<Answer, InputError> {
 pub fn plan(arguments: &PlanArguments) -> Result<Answer, InputError> {
     let scene = load(&arguments.scene, arguments.vehicle.as_deref(), None, None)?;
     let costs = plan::measure(&scene);
-    // Of the run: what a tolerance adds is not left out.
-    let of_run = scene.of_run(scene.seed).0;
-    let left_out = of_run.left_out();
+    // The scene of the run with this seed: it includes the effects that tolerances add.
+    let run_scene = scene.for_run(scene.seed).0;
+    let left_out = run_scene.left_out();
     let mut text =
-        format!("{}: {}\n\n  in this order               ns per step\n", scene.name, scene.description);
+        format!("{}: {}\n\n  effects, in this order      ns per step\n", scene.name, scene.description);
     for cost in &costs {
-        writeln!(text, "  {:<28}{:>11.1}", cost.name, cost.ns_per_step).expect("a String takes everything");
+        writeln!(text, "  {:<28}{:>11.1}", cost.name, cost.ns_per_step)
+            .expect("writing to a String does not fail");
     }
     let total: f64 = costs.iter().map(|cost| cost.ns_per_step).sum();
-    write!(text, "  {:<28}{total:>11.1}\n\n  left out: {}", "together", left_out.join(", "))
-        .expect("a String takes everything");
+    write!(text, "  {:<28}{total:>11.1}\n\n  left out: {}", "total", left_out.join(", "))
+        .expect("writing to a String does not fail");
     let tolerances = scene.tolerances();
     if !tolerances.is_empty() {
-        text.push_str("\n\n  drawn once a run");
+        text.push_str("\n\n  drawn once for each run");
         for (name, how) in &tolerances {
-            write!(text, "\n  {name:<28}{how}").expect("a String takes everything");
+            write!(text, "\n  {name:<28}{how}").expect("writing to a String does not fail");
         }
     }
     let tolerances: Vec<_> =

@@ -1,4 +1,4 @@
-//! The command line: arguments in, a result for people or for programs out.
+//! The command line: parses the arguments, runs the command, and prints its result as text or as JSON.
 
 mod allan;
 mod campaign;
@@ -22,129 +22,184 @@ use sim_host::command::{Answer, conclude};
 use sim_host::{interrupt, log};
 
 #[derive(Parser)]
-#[command(name = "sim-host", version, about = "The world that Kestrel's flight code flies in", long_about = None)]
-#[command(arg_required_else_help = true)]
+#[command(name = "sim-host", version, about = "Simulator for the Kestrel flight controller", long_about = None)]
+#[command(arg_required_else_help = true, after_help = EXAMPLES)]
 struct Arguments {
-    /// Print one JSON object on standard output and nothing else there
+    /// Print the result as one JSON object on standard output, and nothing else there
     #[arg(long, global = true)]
     json: bool,
     #[command(subcommand)]
     command: Command,
 }
 
+/// Examples at the end of the program's help.
+const EXAMPLES: &str = "\
+Example:
+  sim-host fly hover
+  sim-host scenes
+
+`sim-host COMMAND --help` shows the options and an example of a command.
+From the sources, `cargo run --release -- COMMAND` is `sim-host COMMAND`.";
+
 #[derive(Subcommand)]
 enum Command {
-    /// Fly a scene in closed loop, judged on the truth
+    /// Fly a scene in closed loop, once or many times, and check each flight against the truth
+    #[command(after_help = "\
+Example:
+  sim-host fly hover --log hover.csv --report hover.html
+  sim-host fly windy-landing --runs 20 --out runs.csv")]
     Fly(FlyArguments),
-    /// Put the parts of a campaign together that `fly --runs --shard` has flown
+    /// Merge the shards of a campaign that `fly --runs N --shard I/N` has flown
+    #[command(after_help = "\
+Example:
+  sim-host fly hover --runs 4 --shard 1/2 --out part-1.csv
+  sim-host fly hover --runs 4 --shard 2/2 --out part-2.csv
+  sim-host merge part-1.csv part-2.csv --out runs.csv")]
     Merge(MergeArguments),
-    /// Fly a scene by the firmware, on an emulated board or a real one
+    /// Fly a scene with the firmware, on QEMU or on a board (hardware in the loop)
+    #[command(after_help = "\
+Example:
+  sim-host hil hover --qemu
+  sim-host hil hover --serial /dev/ttyUSB0 --log hover.csv")]
     Hil(HilArguments),
-    /// Sample the sensors of a scene, with truth columns
+    /// Simulate the sensors of a scene and write their samples with the truth
+    #[command(after_help = "\
+Example:
+  sim-host sense static --duration 60 --rate-hz 200 --out static.csv")]
     Sense(SenseArguments),
-    /// Run the flight code's estimators over a recorded log
+    /// Run the estimators of the flight code over a log
+    #[command(after_help = "\
+Example:
+  sim-host sense stand-steps --out log.csv
+  sim-host estimate log.csv --estimator paper flight")]
     Estimate(EstimateArguments),
-    /// Read a sensor's errors off a recording of it at rest: Allan deviations and a fit
+    /// Identify the errors of a sensor from a recording at rest, by its Allan deviation
+    #[command(after_help = "\
+Example:
+  sim-host sense static --duration 600 --rate-hz 200 --out still.csv
+  sim-host allan still.csv --plot allan.svg --imu imu.toml")]
     Allan(allan::AllanArguments),
-    /// Show what a scene simulates, in order, what it leaves out, and what each effect costs
+    /// Show the effects that a scene simulates, in order, the time that each takes, and the effects left out
+    #[command(after_help = "\
+Example:
+  sim-host plan windy-landing")]
     Plan(PlanArguments),
-    /// Show what accuracy costs in time: error against cost, over the settings of each part
-    Cost(studies::Passed),
-    /// Make the paper's tables and figures again, on one page with the numbers beside it
-    Paper(studies::Passed),
-    /// Write a scene's configuration of the flight controller as the record that a flight board reads at start
+    /// Compare the error and the computing time of the settings of each part
+    #[command(after_help = "\
+Example:
+  sim-host cost estimator --quick
+
+`sim-host cost --help` builds the program `studies` and shows the options.")]
+    Cost(studies::ForwardedArguments),
+    /// Reproduce the tables and figures of the paper, on one page with CSV files beside it
+    #[command(after_help = "\
+Example:
+  sim-host paper --out paper
+
+`sim-host paper --help` builds the program `studies` and shows the options.")]
+    Paper(studies::ForwardedArguments),
+    /// Write the flight controller's configuration for a scene, as the record that a board reads at start
+    #[command(after_help = "\
+Example:
+  sim-host config hover --out config.bin")]
     Config(ConfigArguments),
-    /// Show what a vehicle file means: what follows from it, its loops, what to look after; and propose gains
+    /// Show the values derived from a vehicle file, the margins of its control loops and warnings; propose gains
+    #[command(after_help = "\
+Example:
+  sim-host vehicle five-inch
+  sim-host vehicle five-inch --tune --report step.html")]
     Vehicle(vehicle::VehicleArguments),
     /// List the built-in scenes and their effects
+    #[command(after_help = "\
+Example:
+  sim-host scenes")]
     Scenes,
 }
 
 #[derive(clap::Args)]
 struct FlyArguments {
-    /// A built-in scene or a scene file
+    /// Built-in scene (`sim-host scenes` lists them) or scene file
     #[arg(default_value = "hover")]
     scene: String,
-    /// The vehicle, built-in or a file, instead of the scene's
+    /// Built-in vehicle or vehicle file [default: the scene's]
     #[arg(long, value_name = "NAME|F.toml")]
     vehicle: Option<String>,
-    /// Seed of every random stream, instead of the scene's
+    /// Seed of all random streams [default: the scene's]
     #[arg(long, value_name = "N")]
     seed: Option<u64>,
-    /// Length of the flight in seconds, instead of the scene's
+    /// Length of the flight in seconds [default: the scene's]
     #[arg(long, value_name = "S", allow_negative_numbers = true)]
     duration: Option<f64>,
-    /// Fly this many times, with seeds counting up
+    /// Number of flights; the seed goes up by one with each
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u64).range(1..=1_000_000))]
     runs: u64,
-    /// Flights at a time; one for each core without this. The results do not depend on it
+    /// Number of flights in parallel, without effect on the results [default: one for each core]
     #[arg(long, value_name = "J", requires = "runs")]
     jobs: Option<NonZeroU16>,
-    /// Fly part I of N of the runs: `merge` puts the parts together
+    /// Fly shard I of N of the runs; `merge` merges the files of all shards
     #[arg(long, value_name = "I/N", requires_all = ["runs", "out"])]
     shard: Option<Shard>,
-    /// Write the results of the runs, a row each
+    /// Write the results, one row for each run
     #[arg(long, value_name = "F.csv", requires = "runs")]
     out: Option<PathBuf>,
-    /// Crashes that are let pass; exit code 1 for more of them
+    /// Crashes tolerated before exit code 1
     #[arg(long, value_name = "K", requires = "runs", default_value_t = 0)]
     max_failures: u64,
-    /// Write the sensor log, truth and pulses of the flight
+    /// Write a log of the flight: sensor samples, truth and motor pulses
     #[arg(long, value_name = "F.csv", conflicts_with = "runs")]
     log: Option<PathBuf>,
-    /// Write a report with plots, readable in any browser without a network
+    /// Write a report with plots: one HTML file that needs no network
     #[arg(long, value_name = "F.html", conflicts_with = "runs")]
     report: Option<PathBuf>,
 }
 
 #[derive(clap::Args)]
 struct MergeArguments {
-    /// The files that `fly --shard` has written, all of them, in any order
+    /// Files from `fly --shard`: one for each shard, in any order
     #[arg(required = true, value_name = "PART.csv")]
     parts: Vec<PathBuf>,
-    /// Write the results of all runs: the bytes that `fly --out` writes without `--shard`
+    /// Write the results of all runs, byte for byte as `fly --out` without `--shard` writes them
     #[arg(long, value_name = "F.csv")]
     out: Option<PathBuf>,
-    /// Crashes that are let pass; exit code 1 for more of them
+    /// Crashes tolerated before exit code 1
     #[arg(long, value_name = "K", default_value_t = 0)]
     max_failures: u64,
 }
 
 #[derive(clap::Args)]
 struct HilArguments {
-    /// A built-in scene or a scene file
+    /// Built-in scene (`sim-host scenes` lists them) or scene file
     scene: String,
-    /// The vehicle, built-in or a file, instead of the scene's
+    /// Built-in vehicle or vehicle file [default: the scene's]
     #[arg(long, value_name = "NAME|F.toml")]
     vehicle: Option<String>,
     #[command(flatten)]
     board: BoardArguments,
-    /// The image for QEMU; without it, it is built from the sources
+    /// Image for QEMU (ELF) [default: built from the sources]
     #[arg(long, value_name = "FILE", conflicts_with = "serial")]
     image: Option<PathBuf>,
-    /// Seed of every random stream, instead of the scene's
+    /// Seed of all random streams [default: the scene's]
     #[arg(long, value_name = "N")]
     seed: Option<u64>,
-    /// Length of the flight in seconds, instead of the scene's
+    /// Length of the flight in seconds [default: the scene's]
     #[arg(long, value_name = "S", allow_negative_numbers = true)]
     duration: Option<f64>,
-    /// Write the sensor log, truth and pulses of the flight
+    /// Write a log of the flight: sensor samples, truth and motor pulses
     #[arg(long, value_name = "F.csv")]
     log: Option<PathBuf>,
-    /// Write a report with plots, readable in any browser without a network
+    /// Write a report with plots: one HTML file that needs no network
     #[arg(long, value_name = "F.html")]
     report: Option<PathBuf>,
-    /// Print the firmware's log on standard error, with the time in the flight. Needs a build with the cargo feature
-    /// firmware-log
+    /// Print the firmware's log on standard error; needs --qemu, Linux and the cargo feature firmware-log
     #[arg(long, conflicts_with = "serial")]
     firmware_log: bool,
-    /// Test the link: flip one bit in every N-th frame to the board
+    /// Test of the link: flip one bit in every N-th frame to the board
     #[arg(long, value_name = "N")]
     flip_bit_every: Option<NonZeroU32>,
-    /// Test the link: from this time on, seconds, frames to the board are held back, and never come
-    #[arg(long, value_name = "T", requires = "delay_ms", value_parser = not_negative)]
+    /// Test of the link: drop all frames to the board from this time of the scene on, s
+    #[arg(long, value_name = "T", requires = "delay_ms", value_parser = seconds_from_zero)]
     delay_at_s: Option<f64>,
-    /// For so many milliseconds of the scene
+    /// Test of the link: time for which --delay-at-s drops frames, ms of the scene
     #[arg(long, value_name = "D", requires = "delay_at_s")]
     delay_ms: Option<u32>,
 }
@@ -152,80 +207,80 @@ struct HilArguments {
 #[derive(clap::Args)]
 #[group(required = true, multiple = false)]
 struct BoardArguments {
-    /// The board is QEMU's netduinoplus2
+    /// Run the firmware on QEMU's board netduinoplus2
     #[arg(long)]
     qemu: bool,
-    /// The board is at a serial port
+    /// Fly the board at this serial port
     #[arg(long, value_name = "PORT")]
     serial: Option<PathBuf>,
 }
 
-fn not_negative(text: &str) -> Result<f64, String> {
+fn seconds_from_zero(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
         Ok(number) if (0.0..=1.0e6).contains(&number) => Ok(number),
-        _ => Err("must be a number from 0 to 1000000".into()),
+        _ => Err("must be a number from 0 to 1000000 s".into()),
     }
 }
 
 #[derive(clap::Args)]
 struct SenseArguments {
-    /// A built-in scene or a scene file
+    /// Built-in scene (`sim-host scenes` lists them) or scene file
     scene: String,
-    /// The vehicle, built-in or a file, instead of the scene's
+    /// Built-in vehicle or vehicle file [default: the scene's]
     #[arg(long, value_name = "NAME|F.toml")]
     vehicle: Option<String>,
-    /// Where to write the log; without it the samples are only generated
+    /// Write the samples as a log; without it they are only generated, as a measurement of speed
     #[arg(long, value_name = "F.csv")]
     out: Option<PathBuf>,
-    /// Seed of every random stream, instead of the scene's
+    /// Seed of all random streams [default: the scene's]
     #[arg(long, value_name = "N")]
     seed: Option<u64>,
-    /// Length in seconds, instead of the scene's
+    /// Length in seconds [default: the scene's]
     #[arg(long, value_name = "S", allow_negative_numbers = true)]
     duration: Option<f64>,
-    /// Samples per second
+    /// Samples per second; for a scene that flies: 1000 divided by a whole number
     #[arg(long, value_name = "R", default_value_t = sim_host::scene::DEFAULT_RATE_HZ)]
     rate_hz: u32,
 }
 
 #[derive(clap::Args)]
 struct PlanArguments {
-    /// A built-in scene or a scene file
+    /// Built-in scene (`sim-host scenes` lists them) or scene file
     scene: String,
-    /// The vehicle, built-in or a file, instead of the scene's
+    /// Built-in vehicle or vehicle file [default: the scene's]
     #[arg(long, value_name = "NAME|F.toml")]
     vehicle: Option<String>,
 }
 
 #[derive(clap::Args)]
 struct ConfigArguments {
-    /// A built-in scene or a scene file
+    /// Built-in scene (`sim-host scenes` lists them) or scene file
     scene: String,
-    /// The vehicle, built-in or a file, instead of the scene's
+    /// Built-in vehicle or vehicle file [default: the scene's]
     #[arg(long, value_name = "NAME|F.toml")]
     vehicle: Option<String>,
-    /// The record
+    /// File for the record
     #[arg(long, value_name = "F.bin")]
     out: PathBuf,
 }
 
 #[derive(clap::Args)]
 struct EstimateArguments {
-    /// The log
+    /// Log with time_s, gyro_{x,y,z}_rad_s and accel_{x,y,z}_m_s2, and optionally mag_{x,y,z}_ut and ref_q{w,x,y,z}
     log: PathBuf,
-    /// Which estimators to run (paper, paper-literal, flight); all without this
+    /// Estimators to run: paper, paper-literal, flight, robust [default: all]
     #[arg(long, value_name = "NAME", num_args = 1..)]
     estimator: Vec<String>,
-    /// Axes of the log: north-east-down and forward-right-down, or east-north-up with a z-up body
+    /// Axes of the log. ned: north-east-down, body forward-right-down; enu: east-north-up, body z up
     #[arg(long, value_enum, default_value_t = FrameName::Ned)]
     frame: FrameName,
-    /// Sign of the accelerometer: specific force a − g, or its negative
+    /// Sign of the accelerometer. reaction: specific force a − g, +9.81 on an upward axis at rest; inverted: its negative
     #[arg(long, value_enum, default_value_t = SignName::Reaction)]
     accel_sign: SignName,
-    /// Cutoff of a Butterworth prefilter on all axes; none without this
+    /// Cutoff of a Butterworth prefilter on all axes, Hz [default: no prefilter]
     #[arg(long, value_name = "F")]
     prefilter_hz: Option<f64>,
-    /// Write the estimated attitudes and their errors, row by row
+    /// Write the estimated attitude and its error for each row of the log
     #[arg(long, value_name = "F.csv")]
     out: Option<PathBuf>,
 }
@@ -260,10 +315,10 @@ impl From<SignName> for log::AccelSign {
     }
 }
 
-/// Runs the program.
+/// Parses the arguments, runs the command and returns its exit code.
 pub fn run() -> ExitCode {
     let arguments = Arguments::parse();
-    interrupt::listen();
+    interrupt::install_handler();
     let answer = match &arguments.command {
         Command::Fly(a) => fly::run(a),
         Command::Merge(a) => campaign::merge(a),
@@ -281,7 +336,7 @@ pub fn run() -> ExitCode {
     conclude(answer, arguments.json)
 }
 
-/// The scene of an argument, with its overrides.
+/// Loads the scene that an argument names, with the overrides of the options.
 fn load(
     name: &str,
     vehicle: Option<&str>,
@@ -296,4 +351,28 @@ fn load(
         scene.set_duration(duration_s).map_err(|error| error.field("--duration"))?;
     }
     Ok(scene)
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::CommandFactory as _;
+
+    use super::*;
+
+    /// `tests/help_examples.rs` runs the examples; this test also covers those that cannot run in a test.
+    #[test]
+    fn every_help_ends_with_examples_that_parse() {
+        let program = Arguments::command();
+        for command in std::iter::once(&program).chain(program.get_subcommands()) {
+            let name = command.get_name();
+            let help = command.get_after_help().map(ToString::to_string).unwrap_or_default();
+            assert!(help.starts_with("Example:\n"), "{name} has no example");
+            let examples: Vec<&str> = help.lines().filter_map(|line| line.strip_prefix("  ")).collect();
+            assert!(examples.iter().any(|line| line.split(' ').any(|word| word == name)), "{name}: {help}");
+            for example in examples {
+                let parsed = Arguments::try_parse_from(example.split(' '));
+                assert!(parsed.is_ok(), "{example}: {}", parsed.err().unwrap());
+            }
+        }
+    }
 }

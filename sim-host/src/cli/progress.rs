@@ -4,22 +4,22 @@ use indicatif::ProgressBar;
 pub use sim_host::command::progress_bar as bar;
 use sim_host::flight::{Observer, StepView};
 
-/// A bar over the seconds of a flight.
+/// A progress bar over the simulated seconds of a flight.
 pub struct FlightProgress {
     bar: ProgressBar,
-    steps_to_next: u32,
+    steps_to_update: u32,
 }
 
-/// Steps between two looks at the terminal: 10 simulated seconds.
-const STEPS_PER_LOOK: u32 = 10_000;
+/// Steps between two updates of the bar: 10 simulated seconds of 1000 steps.
+const STEPS_PER_UPDATE: u32 = 10_000;
 
 impl FlightProgress {
-    /// For a flight of this length.
-    pub fn new(duration_s: f64, what: &str) -> Self {
-        Self { bar: bar(duration_s as u64, what), steps_to_next: STEPS_PER_LOOK }
+    /// Starts a bar for a flight of this length.
+    pub fn new(duration_s: f64, label: &str) -> Self {
+        Self { bar: bar(duration_s as u64, label), steps_to_update: STEPS_PER_UPDATE }
     }
 
-    /// Takes the bar away.
+    /// Removes the bar.
     pub fn finish(self) {
         self.bar.finish_and_clear();
     }
@@ -28,9 +28,9 @@ impl FlightProgress {
 impl Observer for FlightProgress {
     #[inline(always)]
     fn step(&mut self, view: &StepView) {
-        self.steps_to_next -= 1;
-        if self.steps_to_next == 0 {
-            self.steps_to_next = STEPS_PER_LOOK;
+        self.steps_to_update -= 1;
+        if self.steps_to_update == 0 {
+            self.steps_to_update = STEPS_PER_UPDATE;
             self.bar.set_position(view.time_us / 1_000_000);
         }
     }

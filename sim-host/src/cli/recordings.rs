@@ -1,18 +1,18 @@
-//! The commands `sense` and `estimate`: making logs, and running over them.
+//! The commands `sense`, which writes logs, and `estimate`, which reads them.
 
 use std::time::Instant;
 
 use input::InputError;
 use serde_json::json;
 use sim_host::log::{Axes, LogWriter};
-use sim_host::output_file::spare;
+use sim_host::output_file::check_outputs;
 use sim_host::{estimate, sense};
 
 use super::{Answer, EstimateArguments, SenseArguments, load};
 
 pub fn sense(arguments: &SenseArguments) -> Result<Answer, InputError> {
     let scene = load(&arguments.scene, arguments.vehicle.as_deref(), arguments.seed, arguments.duration)?;
-    spare(&scene.inputs(), &[("--out", arguments.out.as_deref())])?;
+    check_outputs(&scene.inputs(), &[("--out", arguments.out.as_deref())])?;
     let mut writer = arguments.out.as_ref().map(LogWriter::create).transpose()?;
     let start = Instant::now();
     let samples = sense::run(&scene, scene.seed, arguments.rate_hz, writer.as_mut())?;
@@ -21,7 +21,7 @@ pub fn sense(arguments: &SenseArguments) -> Result<Answer, InputError> {
     }
     let wall_s = start.elapsed().as_secs_f64();
     let samples_per_s = samples as f64 / wall_s;
-    let place = arguments.out.as_ref().map_or("generated only".into(), |path| path.display().to_string());
+    let place = arguments.out.as_ref().map_or("not written".into(), |path| path.display().to_string());
     Ok(Answer {
         json: json!({ "samples": samples, "wall_s": wall_s, "samples_per_s": samples_per_s }),
         text: format!(

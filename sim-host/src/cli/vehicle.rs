@@ -1,4 +1,4 @@
-//! The command `vehicle`: what a vehicle file means.
+//! The command `vehicle`: shows what follows from a vehicle file, and proposes gains.
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -7,8 +7,8 @@ use flight_core::control::ControlParams;
 use input::InputError;
 use serde_json::{Value, json};
 use sim_host::flight::Flight;
-use sim_host::output_file::spare;
-use sim_host::report::step_response::{self, Proposal, STEP_SHARE, StepResponse};
+use sim_host::output_file::check_outputs;
+use sim_host::report::step_response::{self, Proposal, STEP_STICK_SHARE, StepResponse};
 use sim_host::scene::Scene;
 use vehicle::{Axis, Loop, MARGIN_DEG, Margin, Plant, Tuned, Vehicle, authority_rad_s2, tune};
 
@@ -16,22 +16,22 @@ use super::Answer;
 
 #[derive(clap::Args)]
 pub struct VehicleArguments {
-    /// A built-in vehicle or a vehicle file
+    /// Built-in vehicle or vehicle file
     vehicle: String,
-    /// Propose gains for a phase margin of 60°, and fly the scene `steps` with them
+    /// Propose gains for a phase margin of 60° and fly the scene `steps` with them
     #[arg(long)]
     tune: bool,
-    /// Write the answer to a step of the stick with the proposed gains as a page with plots
+    /// Write a report with plots of the step response with the proposed gains: one HTML file
     #[arg(long, value_name = "F.html", requires = "tune")]
     report: Option<PathBuf>,
 }
 
-/// Gains whose flight tilts further than asked for by more than this share fail.
-const LARGEST_OVERSHOOT: f64 = 0.25;
+/// Largest overshoot of the tilt with the proposed gains, as a share of the step; more fails the command.
+const MAX_OVERSHOOT: f64 = 0.25;
 
 pub fn run(arguments: &VehicleArguments) -> Result<Answer, InputError> {
     let vehicle = Vehicle::load(&arguments.vehicle)?;
-    spare(&[Path::new(&arguments.vehicle)], &[("--report", arguments.report.as_deref())])?;
+    check_outputs(&[Path::new(&arguments.vehicle)], &[("--report", arguments.report.as_deref())])?;
     let plant = Plant::of(&vehicle);
     let mut text = format!("{}: {}\n", vehicle.name, vehicle.description);
     let mut json = json!({ "vehicle": vehicle.name, "description": vehicle.description });
@@ -41,7 +41,7 @@ pub fn run(arguments: &VehicleArguments) -> Result<Answer, InputError> {
     loops(&plant, &vehicle.control, &mut text, &mut json);
     let warnings = warnings(&vehicle, &plant);
     if !warnings.is_empty() {
-        text.push_str("\n  to look after");
+        text.push_str("\n\n  warnings");
         warnings.iter().for_each(|warning| write_line(&mut text, warning));
     }
     json["warnings"] = json!(warnings);
@@ -53,12 +53,12 @@ pub fn run(arguments: &VehicleArguments) -> Result<Answer, InputError> {
 }
 
 fn write_line(text: &mut String, line: &str) {
-    write!(text, "\n    {line}").expect("a String takes everything");
+    write!(text, "\n    {line}").expect("writing to a String does not fail");
 }
 
-/// What the file does not say.
+/// Lists the values that are derived because the file does not give them.
 fn derived(vehicle: &Vehicle, text: &mut String, json: &mut Value) {
-    text.push_str("\n  follows from the file");
+    text.push_str("\n  derived from the file");
     for derived in &vehicle.derived {
         let estimate = if derived.estimate { ", an ESTIMATE" } else { "" };
         write_line(text, &format!("{:<40}{:<20}{}{estimate}", derived.what, derived.value, derived.how));
@@ -69,12 +69,13 @@ fn derived(vehicle: &Vehicle, text: &mut String, json: &mut Value) {
     json["derived"] = list.collect();
 }
 
+/// Lists the speeds, accelerations and angles that the vehicle reaches.
 fn limits(vehicle: &Vehicle, text: &mut String, json: &mut Value) {
     let v = &vehicle.params;
     let [roll, pitch, yaw] = authority_rad_s2(v);
     let control = &vehicle.control;
     let deg_s = |rad_s: f32| f64::from(rad_s).to_degrees();
-    text.push_str("\n\n  can do");
+    text.push_str("\n\n  limits");
     write_line(
         text,
         &format!(
@@ -91,8 +92,8 @@ fn limits(vehicle: &Vehicle, text: &mut String, json: &mut Value) {
     write_line(
         text,
         &format!(
-            "{:<40}{:.0}°, {:.0}°/s, yaw {:.0}°/s",
-            "full sticks ask for",
+            "{:<40}tilt {:.0}°, rate {:.0}°/s, yaw {:.0}°/s",
+            "setpoints at full stick",
             deg_s(control.max_tilt_rad),
             deg_s(control.max_stick_rate_rad_s),
             deg_s(control.max_yaw_rate_rad_s)
@@ -104,7 +105,7 @@ fn limits(vehicle: &Vehicle, text: &mut String, json: &mut Value) {
     json["authority_rad_s2"] = json!([roll, pitch, yaw]);
 }
 
-/// From a motion to the thrust against it.
+/// Lists the delays from a motion to the thrust against it.
 fn delays(plant: &Plant, text: &mut String, json: &mut Value) {
     let ms = |s: f64| s * 1e3;
     text.push_str("\n\n  delays, ms");
@@ -123,7 +124,7 @@ fn delays(plant: &Plant, text: &mut String, json: &mut Value) {
     });
 }
 
-/// Name, gains, crossover and margin of each loop: of the rates alone, and with the angle's around it.
+/// Returns name, gains and margin of each loop: for each axis the whole loop, and the rate loop alone.
 fn all_loops(plant: &Plant, control: &ControlParams) -> Vec<(String, Loop, Margin)> {
     let axes = [(Axis::Roll, "roll"), (Axis::Pitch, "pitch"), (Axis::Yaw, "yaw")];
     let of_axis = |(axis, name): (Axis, &str)| {
@@ -134,12 +135,13 @@ fn all_loops(plant: &Plant, control: &ControlParams) -> Vec<(String, Loop, Margi
     axes.into_iter().flat_map(of_axis).collect()
 }
 
+/// Lists crossover frequency and phase margin of each loop.
 fn loops(plant: &Plant, control: &ControlParams, text: &mut String, json: &mut Value) {
-    text.push_str("\n\n  loops, broken at the rotors");
+    text.push_str("\n\n  open loops, cut at the rotors");
     json["loops"] = json!({});
     for (name, gains, margin) in all_loops(plant, control) {
         let line = format!(
-            "{:<40}crosses over at {:.2} Hz with {:.0}° of phase margin",
+            "{:<40}crossover {:.2} Hz, phase margin {:.0}°",
             name.replace('_', " "),
             hz(margin.crossover_rad_s),
             margin.phase_deg
@@ -156,19 +158,19 @@ fn hz(rad_s: f64) -> f64 {
     rad_s / std::f64::consts::TAU
 }
 
-/// What is unusual, and why it matters.
+/// Returns a warning for each unusual value, with its consequence.
 fn warnings(vehicle: &Vehicle, plant: &Plant) -> Vec<String> {
     let mut warnings = Vec::new();
     let hover = vehicle.params.hover_throttle();
     if hover > 0.6 {
         warnings.push(format!(
-            "hovering takes {:.0} % of the thrust: little is left to climb or to steer",
+            "hover takes {:.0} % of the thrust: little is left to climb or to control the attitude",
             hover * 100.0
         ));
     }
     if hover < 0.12 {
         warnings.push(format!(
-            "hovering takes {:.0} % of the thrust: a hundredth of the throttle stick is {:.0} % of the weight",
+            "hover takes {:.0} % of the thrust: 1 % of the throttle stick is {:.0} % of the weight",
             hover * 100.0,
             1.0 / hover
         ));
@@ -177,7 +179,7 @@ fn warnings(vehicle: &Vehicle, plant: &Plant) -> Vec<String> {
         let margin = plant.margin(&Loop::of(&vehicle.control, axis));
         if margin.phase_deg < 35.0 {
             warnings.push(format!(
-                "{name} has {:.0}° of phase margin: it will swing; --tune proposes other gains",
+                "{name} has a phase margin of {:.0}°: it will oscillate; --tune proposes other gains",
                 margin.phase_deg
             ));
         }
@@ -188,7 +190,7 @@ fn warnings(vehicle: &Vehicle, plant: &Plant) -> Vec<String> {
     warnings
 }
 
-/// The gains in the form of a vehicle file.
+/// Returns the gains as the table `[gains]` of a vehicle file.
 fn gains_table(control: &ControlParams) -> String {
     let three = |v: flight_core::geometry::Vec3<f32>| format!("[{:?}, {:?}, {:?}]", v.x, v.y, v.z);
     format!(
@@ -202,7 +204,7 @@ fn gains_table(control: &ControlParams) -> String {
     )
 }
 
-/// Proposes gains, and flies with them. Returns whether that went wrong.
+/// Proposes gains and flies the scene `steps` with them. Returns whether the flight crashed or overshot too far.
 fn proposal(
     arguments: &VehicleArguments,
     vehicle: &Vehicle,
@@ -212,31 +214,31 @@ fn proposal(
 ) -> Result<bool, InputError> {
     let tuned: Tuned = tune(&vehicle.params, plant, MARGIN_DEG);
     let mut control = vehicle.control;
-    tuned.put_into(&mut control);
+    tuned.apply_to(&mut control);
     let mut scene = Scene::load_with_vehicle("steps", Some(&arguments.vehicle))?;
     scene.set_control(control)?;
     let mut response = StepResponse::default();
     let outcome = Flight::new(&scene, scene.seed).run(&mut response);
-    let asked_rad = STEP_SHARE * f64::from(control.max_tilt_rad);
-    let overshoot = response.largest_tilt_rad() / asked_rad - 1.0;
-    let answered = response.answered(asked_rad);
+    let step_rad = STEP_STICK_SHARE * f64::from(control.max_tilt_rad);
+    let overshoot = response.max_tilt_rad() / step_rad - 1.0;
+    let times = response.metrics(step_rad);
     let table = gains_table(&control);
-    text.push_str("\n\n  proposed, to go into the vehicle's file\n\n");
+    text.push_str("\n\n  proposed gains, for the vehicle file\n\n");
     text.push_str(&table);
     loops(plant, &control, text, &mut json["proposed"]);
     json["proposed"]["gains"] = json!(table);
     write!(
         text,
         "\n\n  flown in `steps`: doublets of {:.0}°, overshoot {:.0} %, {}",
-        asked_rad.to_degrees(),
+        step_rad.to_degrees(),
         overshoot * 100.0,
         outcome
             .crash
             .map_or("no crash".into(), |(crash, at_s)| format!("CRASHED at {at_s:.2} s: {}", crash.text())),
     )
-    .expect("a String takes everything");
+    .expect("writing to a String does not fail");
     json["proposed"]["overshoot"] = json!(overshoot);
-    json["proposed"]["step"] = json!({ "rise_s": answered.rise_s, "settled_s": answered.settled_s });
+    json["proposed"]["step"] = json!({ "rise_s": times.rise_s, "settled_s": times.settled_s });
     if let Some(path) = &arguments.report {
         let loops: Vec<(String, f64, f64)> = all_loops(plant, &control)
             .into_iter()
@@ -244,7 +246,7 @@ fn proposal(
             .collect();
         let proposal = Proposal {
             vehicle: &vehicle.name,
-            asked_rad,
+            step_rad,
             rotor_limits_rad_s: (vehicle.params.idle_rad_s, vehicle.params.max_rad_s),
             gains: &table,
             loops: &loops,
@@ -253,5 +255,5 @@ fn proposal(
     }
     json["proposed"]["crash"] =
         json!(outcome.crash.map(|(crash, at_s)| format!("{} at {at_s:.3} s", crash.text())));
-    Ok(outcome.crash.is_some() || overshoot > LARGEST_OVERSHOOT)
+    Ok(outcome.crash.is_some() || overshoot > MAX_OVERSHOOT)
 }

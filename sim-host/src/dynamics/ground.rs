@@ -1,17 +1,18 @@
 //! The ground plane: four feet on springs and dampers, with friction.
 //!
-//! Feet stand below the rotors. A foot at depth z > 0 moving at v is pushed up with k z + c v_z (never
-//! pulled down) and held back with μ times that, fading to zero with the sliding speed so that rest is rest.
+//! The feet are below the rotors. The ground pushes a foot at depth z > 0 and velocity v up with k z + c v_z, and
+//! never pulls it down. Friction is μ times this force. It falls to zero with the sliding speed, so that a vehicle at
+//! rest stays at rest.
 
 use flight_core::geometry::{Mat3, Vec3, vec3};
 
 use super::{GRAVITY, State, VehicleParams};
 
-/// The ground and the legs that meet it.
+/// The ground and the vehicle's legs.
 ///
-/// Stiffness and damping scale with the vehicle's weight: at rest the legs give by 1 mm, and a bounce dies
-/// within half a period. For OS4: k = 1,594 N/m and c = 23 N·s/m a foot; the fastest mode is the roll of a
-/// vehicle on its feet, at 160 rad/s, well inside what a 1 ms step resolves.
+/// Stiffness and damping scale with the vehicle's weight: at rest the legs are compressed by 1 mm, and a bounce decays
+/// within half a period. For OS4: k = 1,594 N/m and c = 23 N·s/m per foot. The fastest mode is the roll of a vehicle
+/// on its feet, at 160 rad/s, which a 1 ms step resolves well.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Ground {
     stiffness_n_m: f64,
@@ -28,42 +29,44 @@ const FRICTION: f64 = 0.6;
 /// Sliding speed at which friction has risen to 70 % of its value, m/s.
 const CREEP_M_S: f64 = 0.05;
 
-/// What the ground does to the body.
+/// Force and torque of the ground on the body.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Contact {
-    /// N, world axes.
+    /// Force, N, world axes.
     pub force: Vec3<f64>,
-    /// N·m, body axes, about the centre of gravity.
+    /// Torque, N·m, body axes, about the centre of gravity.
     pub torque: Vec3<f64>,
 }
 
 impl Ground {
-    /// Ground and legs for a vehicle.
+    /// Creates the ground and the legs for a vehicle.
     pub fn new(params: &VehicleParams) -> Self {
         let share = params.mass_kg / 4.0;
         let stiffness_n_m = share * GRAVITY / REST_DEPTH_M;
-        // 0.7 of critical.
+        // 0.7 of critical damping.
         let damping_n_s_m = 1.4 * libm::sqrt(stiffness_n_m * share);
         Self { stiffness_n_m, damping_n_s_m, arm_m: params.arm_m() }
     }
 
-    /// The smallest moment of inertia that steps of 1 ms can follow on these legs, kg·m².
+    /// Returns the smallest moment of inertia on these legs for which steps of 1 ms are stable, kg·m².
     ///
-    /// The four dampers turn the body back by 2 c l²/I, with c = 34.7/s · m for the 1 mm of `REST_DEPTH_M`; friction at
-    /// rest by (μ g/creep = 118/s) · m h²/I with legs of h, and about the vertical by 118/s · m l²/I. All are below
-    /// 120/s · m (l² + 2h²)/I, which with this bound is 2,400/s (RK4 is stable to 2,780/s); OS4's is 600/s.
-    pub fn least_inertia_kg_m2(params: &VehicleParams) -> f64 {
+    /// With the arm l and legs of length h, the damping rates of the rotation are: 2 c l²/I by the four dampers, where
+    /// c = 34.7/s · m for the 1 mm of `REST_DEPTH_M`; (μ g/creep = 118/s) · m h²/I by friction at rest; and
+    /// 118/s · m l²/I by friction about the vertical. All are below 120/s · m (l² + 2h²)/I. With this bound on I that is
+    /// 2,400/s, and RK4 is stable up to 2,780/s. OS4 has 600/s.
+    pub fn min_inertia_kg_m2(params: &VehicleParams) -> f64 {
         let VehicleParams { mass_kg, feet_m, .. } = params;
         let arm_m = params.arm_m();
         mass_kg * (arm_m * arm_m + 2.0 * feet_m * feet_m) / 20.0
     }
 
-    /// Position of the centre of gravity at rest, m down (negative).
+    /// Returns the position of the centre of gravity at rest, m, down (negative).
     pub(super) fn rest_position_m(&self, params: &VehicleParams) -> f64 {
         REST_DEPTH_M - params.feet_m
     }
 
-    /// Whether a foot could touch in any attitude: the only work that flight does for the ground.
+    /// Returns true if a foot could touch the ground in some attitude. In flight this is the only computation for the
+    /// ground.
     #[inline(always)]
     pub(super) fn is_near(&self, params: &VehicleParams, state: &State) -> bool {
         state.position.z > -(self.arm_m + params.feet_m)
@@ -99,7 +102,7 @@ impl Ground {
     }
 }
 
-/// The feet in body axes, m: below the rotors.
+/// Returns the positions of the feet in body axes, m: below the rotors.
 fn feet(params: &VehicleParams) -> [Vec3<f64>; 4] {
     [(1.0, -1.0), (1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0)]
         .map(|(x, y)| vec3(x * params.forward_m, y * params.right_m, params.feet_m))

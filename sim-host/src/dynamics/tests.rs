@@ -1,6 +1,6 @@
 use super::*;
 use crate::effects::vehicle::{LinearDrag, MotorLag, RotorGyroscopic};
-use crate::effects::{Build, Recipe};
+use crate::effects::{BuildContext, EffectParams};
 use proptest::prelude::*;
 
 mod effects;
@@ -9,17 +9,17 @@ const STEP_S: f64 = 1e-3;
 
 type Effects = Vec<(&'static str, VehicleEffect)>;
 
-/// What a recipe builds for OS4 at this step.
-fn built(recipe: &impl Recipe<Effect = VehicleEffect>, step_s: f64) -> (&'static str, VehicleEffect) {
-    recipe.validate("test").unwrap();
-    let with = Build {
+/// Builds an effect for OS4 at this step.
+fn built(params: &impl EffectParams<Effect = VehicleEffect>, step_s: f64) -> (&'static str, VehicleEffect) {
+    params.validate("test").unwrap();
+    let context = BuildContext {
         name: "test",
         seed: 1,
         rate_hz: 1.0 / step_s,
         duration_s: 60.0,
         vehicle: &VehicleParams::OS4,
     };
-    ("test", recipe.build(&with))
+    ("test", params.build(&context))
 }
 
 fn lag(tau_s: f64, step_s: f64) -> (&'static str, VehicleEffect) {
@@ -61,7 +61,7 @@ fn euler(roll: f64, pitch: f64, yaw: f64) -> Quaternion<f64> {
 }
 
 #[test]
-fn at_rest_on_the_ground_it_stays_and_reads_one_g_up() {
+fn vehicle_on_the_ground_stays_and_reads_1_g() {
     let mut v = on_the_ground(vec![]);
     let start = *v.state();
     for _ in 0..10_000 {
@@ -73,7 +73,7 @@ fn at_rest_on_the_ground_it_stays_and_reads_one_g_up() {
 }
 
 #[test]
-fn free_fall_reads_zero_and_falls_by_half_g_t_squared() {
+fn free_fall_reads_zero_and_drops_half_g_t_squared() {
     let mut v = in_the_air(vec![]);
     run(&mut v, 2.0);
     assert!((v.state().position.z + 100.0 - 0.5 * GRAVITY * 4.0).abs() < 1e-9);
@@ -102,7 +102,7 @@ fn linear_drag_reaches_terminal_velocity() {
 }
 
 #[test]
-fn rotors_lag_exponentially_whatever_the_time_constant() {
+fn rotors_lag_exponentially_at_any_time_constant() {
     for tau_s in [0.05, 1e-4] {
         let ground = Ground::new(&VehicleParams::OS4);
         let effects = vec![lag(tau_s, 0.01)];
@@ -114,7 +114,7 @@ fn rotors_lag_exponentially_whatever_the_time_constant() {
     }
 }
 
-/// Eqs 8-10 as printed, with the dots of the design: angular accelerations from rates and rotor speeds.
+/// Returns the angular accelerations from rates and rotor speeds by eqs 8-10 as printed, with the missing dots added.
 fn printed_8_to_10(rates: Vec3<f64>, rotors: [f64; 4]) -> Vec3<f64> {
     let (ixx, iyy, izz, jr, l) = (7.5e-3, 7.5e-3, 1.3e-2, 6e-5, 0.23);
     let [s1, s2, s3, s4] = rotors.map(|w| w * w);
@@ -131,7 +131,7 @@ fn printed_8_to_10(rates: Vec3<f64>, rotors: [f64; 4]) -> Vec3<f64> {
 }
 
 proptest! {
-    /// With body rates for Euler rates, eqs 8-10 are the body's own equations.
+    /// With body rates in place of Euler rates, eqs 8-10 are the equations of the rigid body.
     #[test]
     fn equations_8_to_10_hold_in_body_rates(
         rates in prop::array::uniform3(-5.0_f64..5.0), rotors in prop::array::uniform4(50.0_f64..300.0),
@@ -142,9 +142,9 @@ proptest! {
         prop_assert!((v.angular_acceleration() - printed).norm() < 1e-9 * (1.0 + printed.norm()));
     }
 
-    /// Eqs 11-13 with the yaw sign of the design, in any attitude.
+    /// Eqs 11-13 with the corrected sign of yaw, in any attitude.
     #[test]
-    fn equations_11_to_13_hold_with_the_yaw_sign_mended(
+    fn equations_11_to_13_hold_with_the_corrected_yaw_sign(
         roll in -1.4_f64..1.4, pitch in -1.4_f64..1.4, yaw in -3.1_f64..3.1, speed in 100.0_f64..300.0,
     ) {
         let mut v = in_the_air(vec![]);
@@ -160,9 +160,9 @@ proptest! {
     }
 }
 
-/// The printed eqs 11-12, for comparison: right at ψ = 0, reversed at ψ = 90°.
+/// The printed eqs 11-12, for comparison: correct at ψ = 0, reversed at ψ = 90°.
 #[test]
-fn printed_equations_11_and_12_are_reversed_at_90_degrees_of_yaw() {
+fn printed_equations_11_and_12_are_reversed_at_90_deg_yaw() {
     let printed = |roll: f64, pitch: f64, yaw: f64, a: f64| {
         let ((sf, cf), (st, _), (sp, cp)) = (roll.sin_cos(), pitch.sin_cos(), yaw.sin_cos());
         ((sp * sf - cp * st * cf) * a, (cp * sf + sp * st * cf) * a)
@@ -177,20 +177,20 @@ fn printed_equations_11_and_12_are_reversed_at_90_degrees_of_yaw() {
     let (x, y) = printed(0.2, 0.1, 0.0, GRAVITY);
     assert!((a.x - x).abs() < 1e-9 && (a.y - y).abs() < 1e-9, "equal at ψ = 0");
 
-    // Facing east and rolled right, the vehicle must go south. The printed form sends it north.
+    // Facing east and rolled right, the vehicle must accelerate to the south. The printed form gives north.
     let a = truth(0.2, 0.0, std::f64::consts::FRAC_PI_2);
     let (x, _) = printed(0.2, 0.0, std::f64::consts::FRAC_PI_2, GRAVITY);
     assert!(a.x < -1.0 && (a.x + x).abs() < 1e-9);
-    // Facing east and nose up, it must go west. The printed form sends it east.
+    // Facing east and nose up, it must accelerate to the west. The printed form gives east.
     let a = truth(0.0, 0.2, std::f64::consts::FRAC_PI_2);
     let (_, y) = printed(0.0, 0.2, std::f64::consts::FRAC_PI_2, GRAVITY);
     assert!(a.y < -1.0 && (a.y + y).abs() < 1e-9);
 }
 
-/// Eqs 8-10 read literally (accelerations of the Euler angles) against the rigid body, both integrated from
-/// the same rates: equal for small angles, apart for large ones.
+/// Eqs 8-10 taken literally (as accelerations of the Euler angles) against the rigid body, both integrated from the
+/// same rates: equal for small angles, different for large ones.
 #[test]
-fn printed_equations_8_to_10_depart_from_the_rigid_body_at_large_angles() {
+fn printed_equations_8_to_10_fail_at_large_angles() {
     let departure = |rate: f64| {
         let rotors = [0.0; 4];
         let mut v = in_the_air(vec![]);
@@ -207,7 +207,7 @@ fn printed_equations_8_to_10_depart_from_the_rigid_body_at_large_angles() {
         let d = euler(angles.x, angles.y, angles.z).conjugate() * v.state().attitude;
         2.0 * libm::asin(d.v.norm())
     };
-    // Departure grows as the product of two angles: 0.05 rad → below 0.003, 0.8 rad → 0.1 and more.
+    // The difference grows as the product of two angles: 0.05 rad → below 0.003, 0.8 rad → above 0.1.
     assert!(departure(0.05) < 0.003, "{}", departure(0.05));
     assert!(departure(0.8) > 0.1, "{}", departure(0.8));
 }
@@ -226,8 +226,8 @@ fn torque_free_tumbling_keeps_energy_and_momentum() {
 }
 
 #[test]
-fn symmetric_top_turns_as_its_closed_form() {
-    // I_x = I_y: the transverse rate turns about z at (I_z − I_x)/I_x · r, exactly.
+fn symmetric_top_matches_its_closed_form() {
+    // I_x = I_y: the transverse rate rotates about z at exactly (I_z − I_x)/I_x · r.
     let mut v = in_the_air(vec![]);
     v.set_state(State { rates: vec3(1.0, 0.0, 6.0), ..*v.state() }, [0.0; 4]);
     run(&mut v, 3.0);
@@ -259,7 +259,7 @@ fn runge_kutta_is_of_fourth_order() {
 }
 
 #[test]
-fn dropped_from_a_hand_it_comes_to_rest() {
+fn dropped_vehicle_comes_to_rest() {
     let mut v = in_the_air(vec![]);
     v.set_state(
         State {
@@ -277,13 +277,13 @@ fn dropped_from_a_hand_it_comes_to_rest() {
 }
 
 #[test]
-fn on_the_ball_joint_it_turns_but_does_not_move() {
+fn ball_joint_allows_rotation_only() {
     let mut v = Vehicle::at_rest(VehicleParams::OS4, Mount::BallJoint, vec![lag(0.05, STEP_S)], STEP_S);
     v.command([230.0, 220.0, 220.0, 230.0]);
     run(&mut v, 0.2);
     assert_eq!((v.state().position, v.state().velocity), (Vec3::ZERO, Vec3::ZERO));
     assert!(v.state().rates.x > 0.1);
-    // It reads gravity in body axes, whatever the rotors do.
+    // The accelerometer reads gravity in body axes, for any rotor speeds.
     let f = v.specific_force();
     let expected = v.state().attitude.conjugate().rotate(vec3(0.0, 0.0, -GRAVITY));
     assert!((f - expected).norm() < 1e-12);

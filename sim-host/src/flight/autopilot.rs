@@ -1,4 +1,4 @@
-//! Who flies.
+//! The interface of an autopilot, which flies the vehicle.
 
 use std::convert::Infallible;
 
@@ -8,36 +8,36 @@ use flight_core::geometry::{Quaternion, Vec3};
 use flight_core::sample::Input;
 use flight_core::{ArmState, FlightController};
 
-/// Pulse of a motor that stands still, µs.
+/// Pulse that stops a motor, µs.
 const STOP_US: f32 = EscParams::STANDARD.stop_us;
 
-/// What an autopilot makes of a step.
+/// The output of an autopilot for one step.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Answer {
-    /// Whether the motors are permitted to turn. Without it they stand still, whatever the pulses say.
+pub struct AutopilotOutput {
+    /// True if the motors are permitted to turn. If false, they stop at any pulse.
     pub driven: bool,
-    /// Pulses of rotors 1 to 4 as the permit lets them through, µs.
+    /// Pulses of rotors 1 to 4 after the permit was applied, µs.
     pub pulses_us: [f32; 4],
     /// The arm state.
     pub state: ArmState,
-    /// What happened to the arm state in this step, if anything did.
+    /// Event of the arm state in this step, if any.
     pub event: Option<Event>,
     /// Estimated attitude, body to world.
     pub attitude: Quaternion<f32>,
-    /// Body rates after prefilter and gyro zero, rad/s; `None` if the autopilot does not tell.
+    /// Body rates after prefilter and gyro zero, rad/s; `None` if the autopilot does not report them.
     pub rates_rad_s: Option<Vec3<f32>>,
 }
 
-/// Who flies: takes what arrives in a step, and says what the motors are to do.
+/// An autopilot: takes the input of a step, and returns the motor commands.
 pub trait Autopilot {
-    /// Why there may be no answer.
+    /// The reason for a failure.
     type Error;
 
-    /// One step.
+    /// Does one step.
     ///
     /// # Errors
-    /// There is no answer and will be none: the flight is over.
-    fn step(&mut self, input: &Input) -> Result<Answer, Self::Error>;
+    /// The autopilot has failed, and the flight ends.
+    fn step(&mut self, input: &Input) -> Result<AutopilotOutput, Self::Error>;
 }
 
 /// The flight code in this process.
@@ -45,13 +45,13 @@ impl Autopilot for FlightController {
     type Error = Infallible;
 
     #[inline(always)]
-    fn step(&mut self, input: &Input) -> Result<Answer, Infallible> {
+    fn step(&mut self, input: &Input) -> Result<AutopilotOutput, Infallible> {
         let output = self.step(input);
         let (driven, pulses_us) = match output.permit {
             Some(permit) => (true, permit.apply(output.pulses_us, STOP_US)),
             None => (false, output.pulses_us),
         };
-        Ok(Answer {
+        Ok(AutopilotOutput {
             driven,
             pulses_us,
             state: output.state,
@@ -65,7 +65,7 @@ impl Autopilot for FlightController {
 impl<A: Autopilot> Autopilot for &mut A {
     type Error = A::Error;
 
-    fn step(&mut self, input: &Input) -> Result<Answer, A::Error> {
+    fn step(&mut self, input: &Input) -> Result<AutopilotOutput, A::Error> {
         (**self).step(input)
     }
 }

@@ -1,4 +1,4 @@
-//! The log of a flight: what the sensors read, the truth, and what the flight controller made of it.
+//! The log of a flight: sensor readings, the truth, and the output of the flight controller.
 
 use std::path::Path;
 
@@ -9,7 +9,7 @@ use crate::log::{LogRow, LogWriter};
 use crate::scene::Scene;
 use input::InputError;
 
-/// Columns after those of every log.
+/// The columns of a flight, after the standard columns.
 const FURTHER: [&str; 11] = [
     "est_qw",
     "est_qx",
@@ -24,20 +24,20 @@ const FURTHER: [&str; 11] = [
     "pulse_4_us",
 ];
 
-/// Writes a row at every step. `moving` is 1 while the motors may turn.
+/// An observer that writes a row at every step with an IMU sample. `moving` is 1 while the motors may turn.
 #[derive(Debug)]
 pub struct FlightLog {
     writer: LogWriter,
-    /// SI per count of gyroscope, accelerometer, magnetometer (µT).
+    /// SI units per count of gyroscope, accelerometer and magnetometer (µT).
     per_count: [f64; 3],
     failed: Option<InputError>,
 }
 
 impl FlightLog {
-    /// Begins the log that will be `path`.
+    /// Starts the log file `path`.
     ///
     /// # Errors
-    /// A place that can't be written to.
+    /// The file cannot be written.
     pub fn create(path: impl AsRef<Path>, scene: &Scene) -> Result<Self, InputError> {
         let writer = LogWriter::create_with(path, &FURTHER)?;
         Ok(Self { writer, per_count: scene.converters.map(|c| c.per_count()), failed: None })
@@ -46,7 +46,7 @@ impl FlightLog {
     /// Completes the file.
     ///
     /// # Errors
-    /// Whatever went wrong in writing it.
+    /// The first error in writing the file.
     pub fn finish(self) -> Result<(), InputError> {
         match self.failed {
             Some(error) => Err(error),

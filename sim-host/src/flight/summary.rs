@@ -1,14 +1,14 @@
-//! How a flight went, for people and for programs.
+//! The outcome of a flight, as text and as JSON.
 
 use serde_json::{Value, json};
 
 use super::Outcome;
 use crate::scene::Scene;
 
-/// An outcome for programs.
+/// Returns the outcome of a flight of `scene` as JSON.
 pub fn to_json(scene: &Scene, seed: u64, outcome: &Outcome, wall_s: f64) -> Value {
     let mut json = outcome_json(outcome);
-    let drawn = scene.of_run(seed).1;
+    let drawn = scene.for_run(seed).1;
     let further = json!({
         "scene": scene.name,
         "seed": seed,
@@ -26,7 +26,7 @@ pub fn to_json(scene: &Scene, seed: u64, outcome: &Outcome, wall_s: f64) -> Valu
     json
 }
 
-/// How a flight ended.
+/// Returns the verdict on a flight: how it ended.
 pub fn verdict(outcome: &Outcome) -> String {
     match outcome.crash {
         None => "flown to the end".into(),
@@ -34,12 +34,12 @@ pub fn verdict(outcome: &Outcome) -> String {
     }
 }
 
-/// A rate in words: `3.21 million`, or `2,650` (which a flight on an emulated board makes).
+/// Formats a rate: `3.21 million`, or `2650` (typical of a flight on an emulated board).
 fn rate(per_s: f64) -> String {
     if per_s >= 1.0e5 { format!("{:.2} million", per_s * 1e-6) } else { format!("{per_s:.0}") }
 }
 
-/// An outcome for people.
+/// Returns the outcome as text.
 pub fn describe(scene: &Scene, outcome: &Outcome, verdict: &str, wall_s: f64) -> String {
     format!(
         "{name} (seed {seed}): {verdict}, {state:?}\n\
@@ -48,7 +48,7 @@ pub fn describe(scene: &Scene, outcome: &Outcome, verdict: &str, wall_s: f64) ->
          worst tilt error         {tilt_error:.3}°\n  \
          worst tilt               {tilt:.2}°\n  \
          worst distance           {distance:.3} m from the pilot's target\n  \
-         speed                    {flown:.1} s in {wall_s:.3} s: {factor:.0} × real time, {rate} steps a second\n  \
+         speed                    {flown:.1} s in {wall_s:.3} s: {factor:.0} × real time, {rate} steps/s\n  \
          digest                   {digest:016x}",
         name = scene.name,
         seed = scene.seed,
@@ -67,7 +67,7 @@ pub fn describe(scene: &Scene, outcome: &Outcome, verdict: &str, wall_s: f64) ->
     )
 }
 
-/// How a flight went, for programs.
+/// Returns an outcome as JSON.
 pub fn outcome_json(outcome: &Outcome) -> Value {
     json!({
         "control_steps": outcome.control_steps,
@@ -84,7 +84,7 @@ pub fn outcome_json(outcome: &Outcome) -> Value {
     })
 }
 
-/// What was drawn, for programs.
+/// Returns the values drawn for a run as JSON.
 pub fn drawn_json(drawn: &[(String, f64)]) -> Value {
     drawn.iter().map(|(name, value)| (name.clone(), json!(value))).collect()
 }

@@ -1,17 +1,17 @@
 //! The link to the firmware, in lock-step: frames of `hil-link` over any wire.
 //!
-//! # What becomes of a question
-//! | what comes back | the step |
+//! # Reactions to an answer
+//! | the firmware sends | reaction |
 //! |---|---|
-//! | the answer with its number | is done |
-//! | `Bad`, or a damaged frame | had no answer: the motors keep their pulses, and the next step is asked |
-//! | nothing, on a wire that loses frames | the same |
-//! | `Ready` | found the firmware reset: the motors stand still, it is started anew, and the flight goes on |
-//! | an answer to an earlier question, or one again | is waited for further |
-//! | nothing, on a wire that loses none; the end of the wire; another version | ends the flight |
+//! | the answer with the number of the step | the step is done |
+//! | `Bad`, or a damaged frame | the step has no answer: the motors keep their pulses, and the next step is sent |
+//! | nothing, on a wire that may lose frames | the same |
+//! | `Ready` | the firmware was reset: the motors stop, the firmware is configured again, and the flight goes on |
+//! | an answer to an earlier step, or a repeated answer | it is ignored, and the wait goes on |
+//! | nothing, on a wire that loses no frames; the end of the wire; another version | the flight ends |
 //!
-//! Nothing is sent again: a sample that is lost is lost, as on a bus. Everything is counted, and bounded: by the
-//! wire's [`OnTimeout`], by the number of resets, and by the number of bytes that bring no answer.
+//! No frame is sent twice: a lost sample stays lost, as on a sensor bus. All events are counted. Each wait is bounded: by
+//! the wire's [`OnTimeout`], by the number of resets, and by the number of bytes without an answer.
 
 use std::fmt;
 use std::io::{self, Read, Write};
@@ -25,20 +25,21 @@ use flight_core::geometry::Quaternion;
 use flight_core::sample::Input;
 use hil_link::{Decoder, Done, FrameError, MAX_FRAME, Order, Received, Step, ToBoard, ToHost, encode};
 
-use crate::flight::{Answer, Autopilot};
+use crate::flight::{Autopilot, AutopilotOutput};
 
-/// More resets than this end a flight.
+/// Resets of the firmware that a flight may have; one more ends it.
 const MAX_RESETS: usize = 10;
-/// More bytes than this without an answer end it too.
+/// Bytes without an answer that a flight may have in a row; one more ends it.
 const MAX_NOISE_BYTES: usize = 100 * MAX_FRAME;
-/// The configuration is sent again after so many reads in vain: a port that has just been opened may take its time.
-const READS_PER_START: u32 = 10;
+/// Read timeouts after which the configuration is sent again: a port that has just been opened may lose the first bytes.
+const TIMEOUTS_PER_START: u32 = 10;
 
-/// Bytes to the firmware and from it. A read waits for a little while; in vain, it says
-/// [`WouldBlock`](io::ErrorKind::WouldBlock) or [`TimedOut`](io::ErrorKind::TimedOut). A read of no bytes is the
-/// end of the wire.
+/// A wire that carries bytes to the firmware and from it.
+///
+/// A read waits for a short time. After a timeout it returns the error [`WouldBlock`](io::ErrorKind::WouldBlock) or
+/// [`TimedOut`](io::ErrorKind::TimedOut). A read of 0 bytes means that the far end has closed the wire.
 pub trait Wire: Read + Write {
-    /// A read has been in vain: what now?
+    /// Decides what to do after a read timeout.
     fn on_timeout(&mut self) -> OnTimeout;
 }
 
@@ -48,101 +49,98 @@ impl<W: Wire> Wire for &mut W {
     }
 }
 
-/// How much longer to wait for an answer.
+/// Reaction to a read timeout.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum OnTimeout {
     /// Read again.
     Wait,
-    /// The frame is lost: on to the next.
+    /// Treat the frame as lost and send the next.
     NextFrame,
-    /// The firmware is silent, and this is how that is known.
+    /// End the flight: the firmware is silent. The text says by which criterion.
     Silent(String),
 }
 
-/// Why a link ends a flight.
+/// Reason for which a link ends a flight.
 #[derive(Debug)]
 pub enum LinkError {
-    /// The far end is gone.
+    /// The far end has closed the wire.
     Closed,
-    /// Nothing comes.
+    /// The firmware sends nothing.
     Silent(String),
-    /// Bytes come, and no answer.
+    /// The firmware sends bytes, but no valid answer.
     Noise,
-    /// The firmware speaks another version.
+    /// The firmware uses another version of the link.
     Version(u8),
-    /// A whole frame with a message that there is none of.
+    /// A valid frame with an unknown message type.
     Unknown,
-    /// The firmware does not take the configuration.
+    /// The firmware refuses the configuration.
     Refused,
-    /// It answers a step with another time, µs.
+    /// The firmware answers a step with another time, µs.
     WrongTime {
-        /// The step's.
+        /// Time of the step.
         asked_us: u64,
-        /// The answer's.
+        /// Time in the answer.
         answered_us: u64,
     },
-    /// It is reset again and again.
+    /// The firmware was reset more than `MAX_RESETS` times.
     Resets,
-    /// Somebody wants the flight to end.
+    /// The flag `stop` was set, for example by Ctrl-C.
     Interrupted,
-    /// The system does not send, or not receive.
+    /// Sending or receiving failed.
     Io(io::Error),
 }
 
 impl fmt::Display for LinkError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Closed => write!(f, "the far end of the link is gone"),
+            Self::Closed => write!(f, "the far end has closed the link"),
             Self::Silent(why) => write!(f, "the firmware is silent: {why}"),
             Self::Noise => {
-                write!(f, "{MAX_NOISE_BYTES} bytes have come without an answer: is it this firmware?")
+                write!(f, "{MAX_NOISE_BYTES} bytes without an answer: is this Kestrel's firmware?")
             }
             Self::Version(version) => {
                 write!(
                     f,
-                    "the firmware speaks {}: build both from the same sources",
+                    "the firmware has {}: build both from the same sources",
                     FrameError::Version(*version)
                 )
             }
             Self::Unknown => {
-                write!(
-                    f,
-                    "the firmware sends what this program does not know: build both from the same sources"
-                )
+                write!(f, "the firmware sends an unknown message: build both from the same sources")
             }
             Self::Refused => write!(
                 f,
-                "the firmware refuses the configuration: it is in a flight already (reset it), or cannot fly this one"
+                "the firmware refuses the configuration: it is already in a flight (reset it), or cannot fly this scene"
             ),
             Self::WrongTime { asked_us, answered_us } => {
-                write!(f, "the firmware answers the step of {asked_us} µs with {answered_us} µs")
+                write!(f, "the firmware answers the step at {asked_us} µs with the time {answered_us} µs")
             }
-            Self::Resets => write!(f, "the firmware has been reset more than {MAX_RESETS} times"),
+            Self::Resets => write!(f, "the firmware was reset more than {MAX_RESETS} times"),
             Self::Interrupted => write!(f, "interrupted"),
-            Self::Io(error) => write!(f, "the link fails: {error}"),
+            Self::Io(error) => write!(f, "the link failed: {error}"),
         }
     }
 }
 
 impl std::error::Error for LinkError {}
 
-/// What is done to the frames to the firmware, as a test. The configuration always arrives.
+/// Faults of the frames to the firmware, for tests of the link. The configuration always arrives.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Faults {
-    /// One bit is flipped in every so many-th step's frame.
+    /// `Some(n)` flips one bit in every n-th frame with a step.
     pub flip_bit_every: Option<NonZeroU32>,
-    /// Frames of this stretch of the scene, µs, never arrive.
-    pub held_back_us: Range<u64>,
+    /// Frames in this interval of the scene, µs, are not sent.
+    pub dropped_us: Range<u64>,
 }
 
 impl Faults {
-    /// Flips a bit of the `n`-th frame, counted from 1, if it is its turn: another bit each time, the frame's end
-    /// included.
+    /// Flips a bit of the `n`-th frame, counted from 1, if n is a multiple of `flip_bit_every`. It is another bit each
+    /// time, and may lie in the zero at the end of the frame.
     fn flip(&self, n: u64, frame: &mut [u8]) {
         let Some(every) = self.flip_bit_every else { return };
         let every = u64::from(every.get());
         if n.is_multiple_of(every) {
-            // 40,503 is 2¹⁶ over the golden ratio, which spreads the bits over the frame.
+            // 40,503 = 2¹⁶ / 1.618 (the golden ratio), which spreads the bits evenly over the frame.
             let bit = n / every * 40_503 % (8 * frame.len() as u64);
             frame[bit as usize / 8] ^= 1 << (bit % 8);
         }
@@ -152,82 +150,83 @@ impl Faults {
 /// A reset of the firmware in flight.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Reset {
-    /// Time of the step that found it, µs.
+    /// Time of the step at which the link noticed it, µs.
     pub time_us: u64,
-    /// Its watchdog did it.
+    /// Whether the watchdog caused it.
     pub by_watchdog: bool,
 }
 
-/// What came over a link.
+/// Counters of a link over a flight.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Report {
-    /// Frames of steps to the firmware, those that never arrived included.
+    /// Frames with steps to the firmware, including those that a fault dropped.
     pub frames: u64,
     /// Steps without an answer.
     pub unanswered: u64,
-    /// What the firmware says of the frames to it.
+    /// Frames to the firmware that it reports as damaged, lost or repeated.
     pub to_board: Received,
-    /// What became of the frames from it; repeated are also those that came late.
+    /// Frames from the firmware that were damaged, lost or repeated. Late frames count as repeated.
     pub to_host: Received,
-    /// When it was reset.
+    /// Resets of the firmware.
     pub resets: Vec<Reset>,
-    /// Deadlines that its tasks have missed, at most between two resets.
+    /// Deadlines that the firmware's tasks have missed: the largest count between two resets.
     pub missed_deadlines: u32,
-    /// Answers that counted their instructions, those together, and the most of one.
+    /// Answers with a number of instructions.
     pub counted: u64,
-    /// See `counted`.
+    /// Sum of the instructions of these answers.
     pub instructions: u64,
-    /// See `counted`.
-    pub most_instructions: u32,
+    /// Largest number of instructions of one answer.
+    pub max_instructions: u32,
 }
 
 impl Report {
-    /// Whether every frame arrived, once and whole, and the firmware was not reset.
+    /// Whether every frame arrived once and undamaged, and the firmware was not reset.
     pub fn is_clean(&self) -> bool {
         let none = Received::default();
         self.unanswered == 0 && self.resets.is_empty() && self.to_board == none && self.to_host == none
     }
 
-    /// Mean of the instructions from sample to motors; `None` where nobody counts them.
+    /// Returns the mean number of instructions from sample to motors; `None` if the firmware does not count them.
     pub fn mean_instructions(&self) -> Option<f64> {
         (self.counted > 0).then(|| self.instructions as f64 / self.counted as f64)
     }
 }
 
-/// The link. It starts the firmware with the first step.
+/// The link to the firmware. The first step configures and starts the firmware.
 pub struct Link<W> {
     wire: W,
     config: Config,
     faults: Faults,
     stop: Arc<AtomicBool>,
     decoder: Decoder,
-    /// Bytes that have come, and those of them that are still to be looked at.
+    /// Received bytes, and the range of them that is not yet decoded.
     bytes: [u8; 512],
     unread: Range<usize>,
-    /// Bytes since the last answer.
+    /// Bytes received since the last answer.
     noise: usize,
     started: bool,
-    /// Number of the next frame.
+    /// Sequence number of the next frame.
     next: u32,
-    /// Number of the last question that was answered, well or badly.
+    /// Sequence number of the last frame that was answered, by `Done`, `Bad` or a damaged frame.
     answered: Option<u32>,
-    last: Answer,
-    /// What the firmware has said of the frames to it since its last start, and before that.
+    /// The last valid answer, whose pulses the motors keep.
+    last: AutopilotOutput,
+    /// Counters that the firmware reports: since its last start, and the sum of those before.
     to_board: Received,
     to_board_before: Received,
     report: Report,
 }
 
-/// What came.
+/// Result of waiting for a frame.
 enum Incoming {
     Message(u32, ToHost),
     Damaged,
-    /// The wire has given the frame up.
-    Nothing,
+    /// The wire treats the frame as lost.
+    Timeout,
 }
 
-/// A firmware that has just started.
-const AT_REST: Answer = Answer {
+/// Outputs of a firmware that has just started.
+const AT_REST: AutopilotOutput = AutopilotOutput {
     driven: false,
     pulses_us: [1_000.0; 4],
     state: flight_core::ArmState::Disarmed,
@@ -237,7 +236,7 @@ const AT_REST: Answer = Answer {
 };
 
 impl<W: Wire> Link<W> {
-    /// A link over `wire` to a firmware that is to be this flight controller. Setting `stop` ends it.
+    /// Creates a link over `wire` to a firmware that will fly with `config`. Setting `stop` ends the flight.
     pub fn new(wire: W, config: Config, faults: Faults, stop: Arc<AtomicBool>) -> Self {
         Self {
             wire,
@@ -258,17 +257,17 @@ impl<W: Wire> Link<W> {
         }
     }
 
-    /// What came over it.
+    /// Returns the counters of the flight.
     pub fn into_report(self) -> Report {
         Report { to_board: sum(self.to_board_before, self.to_board), ..self.report }
     }
 
-    /// Tells the firmware that the flight is over. Who is gone need not be told.
+    /// Tells the firmware that the flight is over. An error is ignored: the far end may be gone.
     pub fn end(&mut self) {
         let _ = self.send(self.next, &ToBoard::End, |_| ());
     }
 
-    /// Sends a message, after `spoil` has had its way with the frame.
+    /// Sends a message, after `spoil` has changed the bytes of the frame.
     fn send(
         &mut self,
         number: u32,
@@ -279,13 +278,14 @@ impl<W: Wire> Link<W> {
         let length = encode(number, message, &mut frame)
             .map_err(|_| LinkError::Io(io::Error::other("a message longer than a frame")))?;
         spoil(&mut frame[..length]);
-        // A second zero: should the frame's own be the damaged byte, this one ends it, and somebody answers.
+        // A second zero: if the flipped bit is in the zero that ends the frame, this one ends it, so that the firmware
+        // answers.
         let mut bytes = [0; MAX_FRAME + 1];
         bytes[..length].copy_from_slice(&frame[..length]);
         self.wire.write_all(&bytes[..=length]).and_then(|()| self.wire.flush()).map_err(LinkError::Io)
     }
 
-    /// The next thing that comes.
+    /// Waits for the next frame.
     fn receive(&mut self) -> Result<Incoming, LinkError> {
         loop {
             for at in self.unread.by_ref() {
@@ -314,7 +314,7 @@ impl<W: Wire> Link<W> {
                 Err(error) => match error.kind() {
                     io::ErrorKind::WouldBlock | io::ErrorKind::TimedOut => match self.wire.on_timeout() {
                         OnTimeout::Wait => {}
-                        OnTimeout::NextFrame => return Ok(Incoming::Nothing),
+                        OnTimeout::NextFrame => return Ok(Incoming::Timeout),
                         OnTimeout::Silent(why) => return Err(LinkError::Silent(why)),
                     },
                     io::ErrorKind::Interrupted => {}
@@ -324,23 +324,24 @@ impl<W: Wire> Link<W> {
         }
     }
 
-    /// Waits for the firmware, and tells it what to be.
+    /// Waits for the firmware and configures it.
     fn start(&mut self) -> Result<(), LinkError> {
-        // A board that has been waiting for long has said so when nobody listened.
-        while !matches!(self.receive()?, Incoming::Message(_, ToHost::Ready(_)) | Incoming::Nothing) {}
+        // A board that started before this program has sent its `Ready` already, so a timeout also ends the wait.
+        while !matches!(self.receive()?, Incoming::Message(_, ToHost::Ready(_)) | Incoming::Timeout) {}
         self.configure()
     }
 
+    /// Sends the configuration until the firmware has started.
     fn configure(&mut self) -> Result<(), LinkError> {
         let start = ToBoard::Start(self.config);
         (self.next, self.answered) = (1, Some(0));
         self.send(0, &start, |_| ())?;
-        let (mut resets, mut vain) = (0, 0);
+        let (mut resets, mut timeouts) = (0, 0);
         loop {
             match self.receive()? {
                 Incoming::Message(_, ToHost::Started) => break,
                 Incoming::Message(_, ToHost::Refused) => return Err(LinkError::Refused),
-                // It was reset again before it came to reading that.
+                // The firmware was reset again before it read the configuration.
                 Incoming::Message(_, ToHost::Ready(_)) if resets == MAX_RESETS => {
                     return Err(LinkError::Resets);
                 }
@@ -348,13 +349,13 @@ impl<W: Wire> Link<W> {
                     resets += 1;
                     self.send(0, &start, |_| ())?;
                 }
-                Incoming::Nothing => {
-                    vain += 1;
-                    if vain % READS_PER_START == 0 {
+                Incoming::Timeout => {
+                    timeouts += 1;
+                    if timeouts % TIMEOUTS_PER_START == 0 {
                         self.send(0, &start, |_| ())?;
                     }
                 }
-                // What is left of an earlier flight.
+                // Frames of an earlier flight.
                 Incoming::Message(_, ToHost::Done(_) | ToHost::Bad(_)) | Incoming::Damaged => {}
             }
         }
@@ -363,8 +364,8 @@ impl<W: Wire> Link<W> {
         Ok(())
     }
 
-    /// The firmware has been reset: its outputs are dead until it has started.
-    fn restart(&mut self, time_us: u64, by_watchdog: bool) -> Result<Answer, LinkError> {
+    /// Records a reset and configures the firmware again; the motors are stopped until then.
+    fn restart(&mut self, time_us: u64, by_watchdog: bool) -> Result<AutopilotOutput, LinkError> {
         self.report.resets.push(Reset { time_us, by_watchdog });
         if self.report.resets.len() > MAX_RESETS {
             return Err(LinkError::Resets);
@@ -375,13 +376,14 @@ impl<W: Wire> Link<W> {
         Ok(self.unanswered())
     }
 
-    /// The motors keep their pulses.
-    fn unanswered(&mut self) -> Answer {
+    /// Counts a step without an answer; the motors keep their pulses.
+    fn unanswered(&mut self) -> AutopilotOutput {
         self.report.unanswered += 1;
-        Answer { event: None, ..self.last }
+        AutopilotOutput { event: None, ..self.last }
     }
 
-    fn accept(&mut self, number: u32, asked_us: u64, done: &Done) -> Result<Answer, LinkError> {
+    /// Takes the answer to a step.
+    fn accept(&mut self, number: u32, asked_us: u64, done: &Done) -> Result<AutopilotOutput, LinkError> {
         if done.time_us != asked_us {
             return Err(LinkError::WrongTime { asked_us, answered_us: done.time_us });
         }
@@ -393,10 +395,10 @@ impl<W: Wire> Link<W> {
         if done.instructions > 0 {
             report.counted += 1;
             report.instructions += u64::from(done.instructions);
-            report.most_instructions = report.most_instructions.max(done.instructions);
+            report.max_instructions = report.max_instructions.max(done.instructions);
         }
         let [w, x, y, z] = done.attitude;
-        self.last = Answer {
+        self.last = AutopilotOutput {
             driven: done.driven,
             pulses_us: done.pulses_us,
             state: done.state,
@@ -411,7 +413,7 @@ impl<W: Wire> Link<W> {
 impl<W: Wire> Autopilot for Link<W> {
     type Error = LinkError;
 
-    fn step(&mut self, input: &Input) -> Result<Answer, LinkError> {
+    fn step(&mut self, input: &Input) -> Result<AutopilotOutput, LinkError> {
         if !self.started {
             self.start()?;
         }
@@ -419,7 +421,7 @@ impl<W: Wire> Autopilot for Link<W> {
         let number = self.next;
         self.next = number.wrapping_add(1);
         self.report.frames += 1;
-        if self.faults.held_back_us.contains(&time_us) {
+        if self.faults.dropped_us.contains(&time_us) {
             return Ok(self.unanswered());
         }
         let (faults, n) = (self.faults.clone(), self.report.frames);
@@ -436,9 +438,9 @@ impl<W: Wire> Autopilot for Link<W> {
                     _ => self.report.to_host.repeated += 1,
                 },
                 Incoming::Message(_, ToHost::Bad(received)) => {
-                    let of_this = received.corrupt != self.to_board.corrupt;
+                    let is_of_this_step = received.corrupt != self.to_board.corrupt;
                     self.to_board = received;
-                    if of_this {
+                    if is_of_this_step {
                         self.answered = Some(number);
                         self.noise = 0;
                         return Ok(self.unanswered());
@@ -451,13 +453,13 @@ impl<W: Wire> Autopilot for Link<W> {
                     self.answered = Some(number);
                     return Ok(self.unanswered());
                 }
-                Incoming::Nothing => return Ok(self.unanswered()),
+                Incoming::Timeout => return Ok(self.unanswered()),
             }
         }
     }
 }
 
-/// What the firmware says of itself may be any number: a full counter stays full.
+/// Returns the sums of two sets of counters. They saturate, because the firmware may report any number.
 fn sum(a: Received, b: Received) -> Received {
     Received {
         corrupt: a.corrupt.saturating_add(b.corrupt),
@@ -471,7 +473,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn counters_of_a_firmware_that_says_anything_stay_full() {
+    fn sum_of_counters_saturates() {
         let all = |n| Received { corrupt: n, lost: n, repeated: n };
         assert_eq!(sum(all(u32::MAX), all(2)), all(u32::MAX));
         assert_eq!(sum(all(3), all(2)), all(5));

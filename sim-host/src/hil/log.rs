@@ -1,13 +1,13 @@
-//! The firmware's log on QEMU, taken out of the emulator's memory while both wait.
+//! The firmware's log on QEMU, read from QEMU's memory while the firmware waits.
 //!
-//! The firmware logs into a ring in RAM (the crate `firmware-log` has its layout). On a board a debug probe empties it; here
-//! the emulated RAM is memory of a process that this program has started, and Linux lets it read and write that
-//! (`/proc/PID/mem`). Where in it the RAM begins, the emulator is asked once, before it starts the firmware.
+//! The firmware logs into a ring buffer in RAM (the crate `firmware-log` has its layout). On a board a debug probe empties
+//! it. Here the emulated RAM is memory of a process that this program has started, and Linux lets this program read and
+//! write it (`/proc/PID/mem`). QEMU's monitor gives the address of the RAM in that process, once, before the firmware
+//! starts.
 //!
-//! Each time a frame is about to be sent, the emulator is waited for until all its threads sleep: the firmware has done
-//! everything that the last step brought, and waits for the next. Then the ring is emptied. So no line is lost to a
-//! full ring, and the flight is the same as without. What was logged between the last frame and the emulator's end, or a
-//! reset, is lost.
+//! Before each frame is sent, this program waits until all threads of QEMU sleep: the firmware has then finished the last
+//! step and waits for the next. Then it empties the ring. So the ring does not overflow, and the flight equals one
+//! without the log. Lines between the last frame and the end of QEMU, or a reset, are lost.
 
 use std::fs::{self, File};
 use std::io::{self, BufRead as _, BufReader, Read, Write};
@@ -21,24 +21,25 @@ use std::time::Duration;
 use firmware_log::{Decoder, Line, Memory, RttError, drain, rtt_control_block};
 use serde_json::{Value, json};
 
-use super::Account;
+use super::QemuExit;
 use super::link::{OnTimeout, Wire};
 use super::qemu::Qemu;
 use input::InputError;
 
-/// The emulated chip's RAM.
+/// Addresses of the emulated chip's RAM.
 const RAM: Range<u32> = 0x2000_0000..0x2002_0000;
-/// The emulator's monitor, in its directory.
+/// Name of the socket of QEMU's monitor, in QEMU's directory.
 const MONITOR: &str = "monitor.socket";
 
-/// Time between two looks at an emulator that has work, and at one that starts.
-const LOOK: Duration = Duration::from_micros(50);
-/// Looks at an emulator that works: a second. One that takes longer than that has hung, which the wire finds out.
-const LOOKS_AT_WORK: u32 = 10_000;
-/// Looks for its monitor: some seconds.
-const LOOKS_FOR_MONITOR: u32 = 50_000;
+/// Time between two polls of QEMU.
+const POLL: Duration = Duration::from_micros(50);
+/// Longest wait for QEMU to sleep, polls: 10,000 of at least 50 µs are half a second or more. A QEMU that works for longer
+/// has hung, which the wire detects.
+const MAX_WORK_POLLS: u32 = 10_000;
+/// Longest wait for QEMU's monitor, polls: 50,000 of at least 50 µs are 2.5 s or more.
+const MAX_MONITOR_POLLS: u32 = 50_000;
 
-/// A running emulator whose firmware's log is given to `print` line by line.
+/// A running QEMU that passes each line of the firmware's log to `print`.
 pub struct WithLog<P> {
     qemu: Qemu,
     ram: EmulatedRam,
@@ -49,44 +50,44 @@ pub struct WithLog<P> {
 }
 
 impl<P: FnMut(&Line)> WithLog<P> {
-    /// Starts an image.
+    /// Starts QEMU with an image.
     ///
     /// # Errors
-    /// As [`Qemu::start`]; and the image has no log, or the emulator's memory can't be read.
+    /// As [`Qemu::start`]; also if the image has no log, or QEMU's memory cannot be read.
     pub fn start(image: &Path, print: P) -> Result<Self, InputError> {
         let refused = |what: String| InputError::new(what).field("--firmware-log");
         let elf = fs::read(image).map_err(|error| refused(format!("the image cannot be read: {error}")))?;
         let decoder = Decoder::new(&elf).map_err(|error| refused(error.to_string()))?;
         let control_block =
-            rtt_control_block(&elf).ok_or_else(|| refused("the image does not log by RTT".into()))?;
-        // It waits to be told to start the firmware.
+            rtt_control_block(&elf).ok_or_else(|| refused("the image has no log by RTT".into()))?;
+        // With -S QEMU waits for the monitor's command to start the firmware.
         let monitor = format!("unix:{MONITOR},server=on,wait=off");
         let qemu = Qemu::start_with(image, &["-S", "-qmp", &monitor])?;
         let ram = EmulatedRam::of(&qemu).map_err(|error| {
-            refused(format!("the emulator's memory cannot be read: {error} (a container may forbid it)"))
+            refused(format!("QEMU's memory cannot be read: {error} (a container may forbid it)"))
         })?;
         Ok(Self { qemu, ram, control_block, decoder, print, ended: false })
     }
 
-    /// Waits for the emulator to end, but not for long.
-    pub fn end(self) -> Account {
+    /// As [`Qemu::end`].
+    pub fn end(self) -> QemuExit {
         self.qemu.end()
     }
 
-    /// Prints what has been logged, once the firmware waits.
-    fn take(&mut self) {
+    /// Waits until the firmware waits, then prints the new lines of the log.
+    fn print_log(&mut self) {
         if self.ended {
             return;
         }
-        for _ in 0..LOOKS_AT_WORK {
-            if self.qemu.sleeps() {
+        for _ in 0..MAX_WORK_POLLS {
+            if self.qemu.all_threads_sleep() {
                 break;
             }
-            thread::sleep(LOOK);
+            thread::sleep(POLL);
         }
         match drain(&mut self.ram, self.control_block) {
             Ok(bytes) => self.decoder.push(&bytes).iter().for_each(&mut self.print),
-            // Not started, or gone.
+            // The firmware has not started yet, or QEMU has ended.
             Err(RttError::NotThere | RttError::Memory { .. }) => {}
             Err(error) => {
                 self.ended = true;
@@ -105,7 +106,7 @@ impl<P> Read for WithLog<P> {
 
 impl<P: FnMut(&Line)> Write for WithLog<P> {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        self.take();
+        self.print_log();
         self.qemu.write(bytes)
     }
 
@@ -120,41 +121,42 @@ impl<P: FnMut(&Line)> Wire for WithLog<P> {
     }
 }
 
-/// The emulated RAM, in the emulator's memory.
+/// The emulated RAM, in QEMU's memory.
 struct EmulatedRam {
     memory: File,
-    /// Where it begins there.
-    begins: u64,
-    /// Nobody listens to it any more; closed, it would take a last word with it.
+    /// Address of the RAM in QEMU's memory.
+    host_start: u64,
+    /// Kept open although it is not used any more: closing it could discard the last command.
     _monitor: Monitor,
 }
 
 impl EmulatedRam {
-    /// Asks where it is, and then starts the firmware.
+    /// Asks QEMU for the address of the RAM, and then starts the firmware.
     fn of(qemu: &Qemu) -> io::Result<Self> {
         let mut monitor = Monitor::open(&qemu.directory().join(MONITOR))?;
-        let said = monitor.ask(&json!({
+        let answer = monitor.request(&json!({
             "execute": "human-monitor-command",
             "arguments": { "command-line": format!("gpa2hva {:#x}", RAM.start) },
         }))?;
-        let said = said.as_str().unwrap_or_default();
-        let begins = said
+        let answer = answer.as_str().unwrap_or_default();
+        let host_start = answer
             .split_ascii_whitespace()
             .last()
             .and_then(|word| u64::from_str_radix(word.strip_prefix("0x")?, 16).ok())
-            .ok_or_else(|| io::Error::other(format!("it says: {}", said.trim())))?;
+            .ok_or_else(|| io::Error::other(format!("gpa2hva answers: {}", answer.trim())))?;
         let memory = File::options().read(true).write(true).open(format!("/proc/{}/mem", qemu.id()))?;
-        // Its answer would not come before the firmware has got its first frame: until then the emulator is busy waiting.
-        monitor.tell(&json!({ "execute": "cont" }))?;
-        let mut ram = Self { memory, begins, _monitor: monitor };
+        // Does not wait for the answer: QEMU answers only after the firmware has received its first frame.
+        monitor.send(&json!({ "execute": "cont" }))?;
+        let mut ram = Self { memory, host_start, _monitor: monitor };
         ram.read(RAM.start, &mut [0; 4])?;
         Ok(ram)
     }
 
-    fn place(&self, address: u32, length: usize) -> io::Result<u64> {
+    /// Returns the address in QEMU's memory of `length` bytes at an address of the chip.
+    fn host_address(&self, address: u32, length: usize) -> io::Result<u64> {
         let end = u64::from(address) + length as u64;
         if RAM.contains(&address) && end <= u64::from(RAM.end) {
-            Ok(self.begins + u64::from(address - RAM.start))
+            Ok(self.host_start + u64::from(address - RAM.start))
         } else {
             Err(io::Error::other(format!("{length} bytes at {address:#010x} are not in RAM")))
         }
@@ -163,43 +165,43 @@ impl EmulatedRam {
 
 impl Memory for EmulatedRam {
     fn read(&mut self, address: u32, bytes: &mut [u8]) -> io::Result<()> {
-        self.memory.read_exact_at(bytes, self.place(address, bytes.len())?)
+        self.memory.read_exact_at(bytes, self.host_address(address, bytes.len())?)
     }
 
     fn write_u32(&mut self, address: u32, value: u32) -> io::Result<()> {
-        self.memory.write_all_at(&value.to_le_bytes(), self.place(address, 4)?)
+        self.memory.write_all_at(&value.to_le_bytes(), self.host_address(address, 4)?)
     }
 }
 
-/// The emulator's monitor: lines of JSON, a question and its answer each (QMP).
+/// QEMU's monitor (QMP): each command and each answer is a line of JSON.
 struct Monitor {
     socket: BufReader<UnixStream>,
 }
 
 impl Monitor {
     fn open(path: &Path) -> io::Result<Self> {
-        let mut looks = 0;
+        let mut polls = 0;
         let socket = loop {
             match UnixStream::connect(path) {
                 Ok(socket) => break socket,
-                Err(error) if looks == LOOKS_FOR_MONITOR => return Err(error),
-                Err(_) => thread::sleep(LOOK),
+                Err(error) if polls == MAX_MONITOR_POLLS => return Err(error),
+                Err(_) => thread::sleep(POLL),
             }
-            looks += 1;
+            polls += 1;
         };
         socket.set_read_timeout(Some(Duration::from_secs(10)))?;
         let mut monitor = Self { socket: BufReader::new(socket) };
-        monitor.ask(&json!({ "execute": "qmp_capabilities" }))?;
+        monitor.request(&json!({ "execute": "qmp_capabilities" }))?;
         Ok(monitor)
     }
 
-    fn tell(&mut self, order: &Value) -> io::Result<()> {
-        writeln!(self.socket.get_mut(), "{order}")
+    fn send(&mut self, command: &Value) -> io::Result<()> {
+        writeln!(self.socket.get_mut(), "{command}")
     }
 
-    /// What it answers. A greeting and events come in between.
-    fn ask(&mut self, question: &Value) -> io::Result<Value> {
-        self.tell(question)?;
+    /// Sends a command and returns its answer. Skips the greeting and events in between.
+    fn request(&mut self, command: &Value) -> io::Result<Value> {
+        self.send(command)?;
         loop {
             let mut line = String::new();
             if self.socket.read_line(&mut line)? == 0 {
@@ -210,7 +212,7 @@ impl Monitor {
                 return Ok(answer.take());
             }
             if let Some(error) = answer.get("error") {
-                return Err(io::Error::other(format!("its monitor says {error}")));
+                return Err(io::Error::other(format!("QEMU's monitor answers {error}")));
             }
         }
     }

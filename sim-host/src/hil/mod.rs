@@ -1,14 +1,14 @@
-//! Hardware in the loop: the firmware flies, and this program is the world.
+//! Hardware in the loop: the firmware flies, and this program simulates vehicle, sensors and pilot.
 //!
 //! ```text
 //!  Flight ──Input──► Link ──► Faults ──frames──► Wire: two named pipes to QEMU, or a serial port
 //!         ◄─Answer──      ◄─────────────────────
 //! ```
-//! The flight is that of [`crate::flight`], with a [`Link`] for its autopilot. In lock-step: the world stands still
-//! until the firmware has answered, so a flight does not depend on how fast either side is. On QEMU it is the same,
-//! bit for bit, as one in this process.
+//! The flight is that of [`crate::flight`], with a [`Link`] as its autopilot. Both sides run in lock-step: the
+//! simulation waits until the firmware has answered, so the flight does not depend on the speed of either side. On QEMU
+//! it equals, bit for bit, the flight in this process.
 //!
-//! `docs/hil.md` is the page for people.
+//! `docs/hil.md` describes the use.
 
 mod image;
 mod link;
@@ -34,19 +34,19 @@ pub use log::WithLog;
 pub use qemu::Qemu;
 pub use serial::{BAUD, Serial};
 
-/// How a flight over a link went.
+/// Result of a flight over a link.
 #[derive(Debug)]
 pub struct Flown {
-    /// The flight up to where it ended.
+    /// The flight up to its end.
     pub outcome: Outcome,
-    /// Why the link ended it, if it did.
+    /// `Err` if the link ended the flight, with the reason.
     pub ended: Result<(), LinkError>,
-    /// What came over the link.
+    /// Counters of the link.
     pub report: Report,
 }
 
-/// Flies a scene by the firmware at the far end of `wire`, until its end, the crash, the link's failure or `stop`;
-/// then tells the firmware that it is over.
+/// Flies a scene with the firmware at the far end of `wire`, until the scene ends, the vehicle crashes, the link fails
+/// or `stop` is set. Then tells the firmware that the flight is over.
 pub fn fly(
     wire: &mut impl Wire,
     scene: &Scene,
@@ -56,33 +56,33 @@ pub fn fly(
     observer: &mut impl Observer,
 ) -> Flown {
     let mut link = Link::new(wire, scene.config, faults, stop);
-    let (outcome, ended) = Flight::flown_by(&mut link, scene, seed).fly(observer);
+    let (outcome, ended) = Flight::with_autopilot(&mut link, scene, seed).fly(observer);
     link.end();
     Flown { outcome, ended, report: link.into_report() }
 }
 
-/// How an emulator ended, and what it leaves.
+/// How QEMU ended, and what it printed.
 #[derive(Clone, Debug)]
-pub struct Account {
-    /// How; `None` if it had to be killed.
+pub struct QemuExit {
+    /// Exit status; `None` if QEMU had to be killed.
     pub status: Option<ExitStatus>,
-    /// The last lines of what the firmware and the emulator printed.
-    pub last_words: Vec<String>,
-    /// Accesses to what the emulator does not model, without those that are explained.
+    /// Last lines that the firmware and QEMU printed.
+    pub output_tail: Vec<String>,
+    /// Accesses to hardware that QEMU does not model, without those that `unmodelled.txt` explains.
     pub unmodelled: Vec<String>,
 }
 
-impl Account {
-    /// Whether it ended by itself, and well.
+impl QemuExit {
+    /// Whether QEMU ended by itself with exit code 0.
     pub fn is_success(&self) -> bool {
         self.status.is_some_and(|status| status.success())
     }
 
-    /// How it ended, in words.
-    pub fn how(&self) -> String {
+    /// Describes how QEMU ended.
+    pub fn description(&self) -> String {
         match self.status {
-            Some(status) => format!("the emulator has ended ({status})"),
-            None => "the emulator did not end, and was killed".into(),
+            Some(status) => format!("QEMU has ended ({status})"),
+            None => "QEMU did not end and was killed".into(),
         }
     }
 }

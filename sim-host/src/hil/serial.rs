@@ -1,8 +1,8 @@
 //! A board at a serial port.
 //!
-//! Nobody knows how far a board at the end of a cable has come, so a frame is given a time, and a board a number of
-//! frames: after [`FRAME_WAIT`] without an answer the frame counts as lost and the next is sent, and after
-//! [`MAX_UNANSWERED`] of them in a row the board counts as silent.
+//! The state of a board at the end of a cable is unknown, so both a frame and the board have a limit. After
+//! [`FRAME_WAIT`] without an answer the frame counts as lost and the next is sent. After [`MAX_UNANSWERED`] lost frames
+//! in a row the board counts as silent.
 
 use std::io::{self, Read, Write};
 use std::path::Path;
@@ -13,25 +13,26 @@ use serial2::SerialPort;
 use super::link::{OnTimeout, Wire};
 use input::InputError;
 
-/// Bits per second, 8 data bits, no parity, one stop bit. A step and its answer are at most 120 bytes: 1.3 ms.
+/// Rate of the port, bits per second; 8 data bits, no parity, one stop bit. A step and its answer have at most 120 bytes,
+/// 1200 bits: 1.3 ms.
 pub const BAUD: u32 = 921_600;
-/// How long a frame is waited for. A USB converter alone may hold a byte back for 16 ms; an emulated board on a busy
-/// machine takes what it gets.
+/// Longest wait for the answer to a frame. A USB converter alone may delay a byte by 16 ms; an emulated board on a busy
+/// machine may take much longer.
 const FRAME_WAIT: Duration = Duration::from_secs(2);
-/// So many frames without an answer, in a row, end the flight.
+/// Frames in a row without an answer that end the flight.
 const MAX_UNANSWERED: u32 = 10;
 
-/// A serial port.
+/// A serial port with a board.
 pub struct Serial {
     port: SerialPort,
     unanswered: u32,
 }
 
 impl Serial {
-    /// Opens the port of this name.
+    /// Opens the port with this name.
     ///
     /// # Errors
-    /// It is not there, or cannot be set up.
+    /// The port does not exist, or cannot be configured.
     pub fn open(name: &Path) -> Result<Self, InputError> {
         let open = || {
             let mut port = SerialPort::open(name, BAUD)?;

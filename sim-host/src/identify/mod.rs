@@ -1,11 +1,11 @@
-//! A sensor's errors, from a recording of it at rest.
+//! Identifies a sensor's errors from a recording at rest.
 //!
-//! A team leaves its sensor lying still for an hour, and gets back the figures of its model:
+//! A recording of a sensor at rest, for example for an hour, gives the parameters of its error model:
 //!
 //! ```text
-//!  log.csv ──recording──► samples ──crate allan──► σ(τ) with bounds ──► N, B, K … or why not
-//!     gaps, uneven stamps                             │                        │
-//!     and steps are seen                              ▼                        ▼
+//!  log.csv ──recording──► samples ──crate allan──► σ(τ) with bounds ──► N, B, K … or a reason
+//!     gaps and uneven                                 │                        │
+//!     stamps are errors                               ▼                        ▼
 //!                                                 plot.svg           my-imu.toml, imu.yaml: model
 //! ```
 

@@ -1,13 +1,13 @@
-//! From the coefficients of columns to the files that take them: a preset for scenes, and Kalibr's imu.yaml.
+//! Writes the coefficients of columns to files: a preset for scenes, and Kalibr's imu.yaml.
 //!
-//! Both take their units from the names of the columns: `gyro_{x,y,z}_rad_s` or `_deg_s`, `accel_{x,y,z}_m_s2`
-//! or `_g`, `mag_{x,y,z}_ut`, which is what the project's logs have; other columns are renamed
+//! For both files the names of the columns give the units: `gyro_{x,y,z}_rad_s` or `_deg_s`, `accel_{x,y,z}_m_s2`
+//! or `_g`, `mag_{x,y,z}_ut`. These are the names in the project's logs; other columns must be renamed
 //! (`--column gyro_x_deg_s=wx`).
 //!
 //! # Kalibr's convention
-//! Its model (wiki, *IMU noise model*) is n with E\[n(t) n(t′)\] = σ² δ(t − t′), which in discrete time has the
-//! deviation σ/√Δt: σ² is the two-sided density, and σ is N. Its bias has ḃ = σ_b w: σ_b is K. Nothing is
-//! converted but the unit. (A datasheet's one-sided density would have to be divided by √2.)
+//! Kalibr's model (wiki, *IMU noise model*) is a noise n with E\[n(t) n(t′)\] = σ² δ(t − t′). In discrete time its
+//! standard deviation is σ/√Δt, so σ² is the two-sided density, and σ is N. Its bias is ḃ = σ_b w, so σ_b is K. Only the
+//! unit is converted. (A datasheet's one-sided density would have to be divided by √2.)
 
 use std::fmt::Write as _;
 
@@ -17,14 +17,14 @@ use input::InputError;
 
 const DEG: f64 = std::f64::consts::PI / 180.0;
 
-/// Which sensor.
+/// The kind of a sensor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
-    /// rad/s.
+    /// Gyroscope, rad/s.
     Gyro,
-    /// m/s².
+    /// Accelerometer, m/s².
     Accel,
-    /// µT.
+    /// Magnetometer, µT.
     Mag,
 }
 
@@ -44,21 +44,21 @@ impl Kind {
     }
 }
 
-/// What a column is, by its name.
+/// The meaning of a column, by its name.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Role {
     /// The sensor.
     pub kind: Kind,
-    /// 0, 1, 2 for x, y, z.
+    /// The axis: 0, 1, 2 for x, y, z.
     pub axis: usize,
-    /// From the column's unit to rad/s, m/s² or µT.
+    /// Factor from the column's unit to rad/s, m/s² or µT.
     pub scale: f64,
     /// The column's unit.
     pub unit: &'static str,
 }
 
 impl Role {
-    /// What the column of this name is; `None` if the name says nothing.
+    /// Returns the role of the column of this name; `None` for an unknown name.
     pub fn of(name: &str) -> Option<Self> {
         let mut parts = name.splitn(3, '_');
         let (sensor, axis, unit) = (parts.next()?, parts.next()?, parts.next()?);
@@ -75,35 +75,35 @@ impl Role {
     }
 }
 
-/// A column with its coefficients, all in the column's own unit.
+/// A column with its coefficients, in the column's own unit.
 #[derive(Clone, Debug)]
 pub struct Analysed {
-    /// Its name.
+    /// Name of the column.
     pub name: String,
-    /// Samples a second.
+    /// Sample rate, Hz.
     pub rate_hz: f64,
-    /// Samples.
+    /// Number of samples.
     pub samples: usize,
-    /// Their mean.
+    /// Mean of the samples.
     pub mean: f64,
-    /// The converter's step.
+    /// Step of the converter, if it is visible.
     pub step: Option<f64>,
-    /// Whether it rises over the record.
+    /// True if the values increase over the recording.
     pub rises: bool,
     /// The coefficients.
     pub fit: Fit,
 }
 
-/// Where the data come from.
+/// The source of the data.
 #[derive(Clone, Debug)]
 pub struct Provenance {
     /// The file.
     pub file: String,
-    /// Its column of temperatures and their range.
+    /// Name of the temperature column, lowest and highest temperature.
     pub temperature: Option<(String, f64, f64)>,
 }
 
-/// The sensors of a record.
+/// The sensors of a recording.
 #[derive(Debug)]
 struct Imu<'a> {
     sensors: [Option<[(&'a Analysed, Role); 3]>; 3],
@@ -134,7 +134,7 @@ impl<'a> Imu<'a> {
         if sensors[0].is_none() && sensors[1].is_none() {
             return Err(InputError::new(
                 "must have the columns gyro_{x,y,z}_rad_s (or _deg_s) or accel_{x,y,z}_m_s2 (or _g); \
-                 others are renamed with --column gyro_x_rad_s=NAME",
+                 rename other columns with --column gyro_x_rad_s=NAME",
             )
             .field(option));
         }
@@ -142,12 +142,12 @@ impl<'a> Imu<'a> {
     }
 }
 
-/// Text that stands in a comment of one line.
-fn in_a_comment(text: &str) -> String {
+/// Returns text for a comment of one line: control characters are replaced.
+fn comment_text(text: &str) -> String {
     text.chars().map(|c| if c.is_control() { char::REPLACEMENT_CHARACTER } else { c }).collect()
 }
 
-/// So many significant digits, and none to spare: 0.0322800 is 0.03228.
+/// Formats a number with five significant digits, without trailing zeros: 0.0322800 is 0.03228.
 fn digits(value: f64) -> String {
     if value == 0.0 {
         return "0.0".into();
@@ -161,7 +161,7 @@ fn digits(value: f64) -> String {
     if trimmed.ends_with('.') { format!("{trimmed}0") } else { trimmed.into() }
 }
 
-fn head(provenance: &Provenance, columns: &[Analysed]) -> String {
+fn header(provenance: &Provenance, columns: &[Analysed]) -> String {
     let longest = columns.iter().map(|c| c.samples as f64 / c.rate_hz).fold(0.0, f64::max);
     let mut rates: Vec<String> = Vec::new();
     for column in columns {
@@ -171,19 +171,19 @@ fn head(provenance: &Provenance, columns: &[Analysed]) -> String {
         }
     }
     let temperature = provenance.temperature.as_ref().map_or("not recorded".into(), |(name, low, high)| {
-        format!("{} to {} ({})", digits(*low), digits(*high), in_a_comment(name))
+        format!("{} to {} ({})", digits(*low), digits(*high), comment_text(name))
     });
     format!(
         "#   recording     {}\n#   length        {} s at {}\n#   temperature   {temperature}\n\
          #   program       sim-host {}\n",
-        in_a_comment(&provenance.file),
+        comment_text(&provenance.file),
         digits(longest),
         rates.join(" and "),
         env!("CARGO_PKG_VERSION"),
     )
 }
 
-/// An effect that a preset has figures for: its table and key, and from SI to the key's unit.
+/// An effect in a preset: its sensor, coefficient and key, and the factor from SI units to the key's unit.
 struct Entry {
     kind: Kind,
     coefficient: Coefficient,
@@ -207,18 +207,18 @@ const ENTRIES: [Entry; 9] = [
     entry(Kind::Mag, Coefficient::WhiteNoise, "n_ut_per_sqrt_hz", 1.0),
 ];
 
-/// A preset that a scene takes with `imu = "my-imu.toml"`.
+/// Returns a preset, which a scene uses with `imu = "my-imu.toml"`.
 ///
 /// # Errors
-/// Columns that are no gyroscope or accelerometer.
+/// The columns have neither a complete gyroscope nor a complete accelerometer.
 pub fn preset(columns: &[Analysed], provenance: &Provenance) -> Result<String, InputError> {
     let imu = Imu::of(columns, "--imu")?;
     let mut text = format!(
-        "# A sensor preset, read off a recording at rest by `sim-host allan --imu`.\n#\n{}#\n\
-         # A scene takes it with `imu = \"...\"` and names the effects that it wants, `[effects.gyro.white_noise]`,\n\
-         # which then have these figures. ± is one standard deviation of the fit. N is two-sided, of y = N/√Δt · w.\n\
-         # An axis that does not show an error has 0 for it; what no axis shows is left out, and says why.\n\n",
-        head(provenance, columns)
+        "# A sensor preset, identified from a recording at rest by `sim-host allan --imu`.\n#\n{}#\n\
+         # A scene selects it with `imu = \"...\"` and names its effects, such as `[effects.gyro.white_noise]`. They then\n\
+         # have these values. ± is one standard deviation of the fit. N is two-sided: y = N/√Δt · w. An axis whose\n\
+         # recording does not show an error has the value 0. An effect that no axis shows is left out, with the reason.\n\n",
+        header(provenance, columns)
     );
     converters(&mut text, &imu);
     for entry in &ENTRIES {
@@ -230,21 +230,21 @@ pub fn preset(columns: &[Analysed], provenance: &Provenance) -> Result<String, I
         let bias = axes.map(|(column, role)| digits(column.mean * role.scale / DEG));
         let _ = write!(
             text,
-            "\n[effects.gyro.constant_bias]        # mean of the recording; the Earth's 0.0042 °/s is in it\n\
+            "\n[effects.gyro.constant_bias]        # mean of the recording, with the Earth's rate of 0.0042 °/s\n\
              bias_deg_s = [{}]\n",
             bias.join(", ")
         );
     }
     if imu.sensors[Kind::Mag.number()].is_none() {
         text.push_str(
-            "\n[effects.mag.white_noise]           # not recorded: as in the preset `paper`\n\
+            "\n[effects.mag.white_noise]           # not recorded: values of the preset `paper`\n\
              n_ut_per_sqrt_hz = [0.03, 0.03, 0.03]\n",
         );
     }
     Ok(text)
 }
 
-/// The converters, by the steps seen in the columns, or those of an ICM-42688-P and a QMC5883L.
+/// Writes the converters: by the steps in the columns, or else those of an ICM-42688-P and a QMC5883L.
 fn converters(text: &mut String, imu: &Imu) {
     for (kind, key, unit, default) in [
         (Kind::Gyro, "lsb_per_deg_s", DEG, 16.4),
@@ -255,14 +255,14 @@ fn converters(text: &mut String, imu: &Imu) {
         let step = axes.and_then(|axes| {
             let steps = axes.iter().map(|(column, role)| column.step.map(|step| step * role.scale));
             let steps: Option<Vec<f64>> = steps.collect();
-            // Axes of one chip have one step; else what was seen is something else.
+            // All axes of a chip have the same step; different steps do not come from the converter.
             steps.filter(|s| s.iter().all(|step| (step / s[0] - 1.0).abs() < 0.02)).map(|s| s[0])
         });
         let seen = step.map(|step| unit / step).filter(|counts| (0.1..=1e6).contains(counts));
         let (counts, why) = match seen {
-            Some(counts) => (counts, "the step of the recording, over 16 bits"),
-            None if axes.is_some() => (default, "the recording shows no step: a common converter's"),
-            None => (default, "not recorded: a common converter's"),
+            Some(counts) => (counts, "from the step of the recording; the converter has 16 bits"),
+            None if axes.is_some() => (default, "the recording shows no step: value of a common converter"),
+            None => (default, "not recorded: value of a common converter"),
         };
         let _ = writeln!(text, "[{}]\n{:<36}# {why}", kind.name(), format!("{key} = {}", digits(counts)));
     }
@@ -276,8 +276,8 @@ fn effect(text: &mut String, entry: &Entry, axes: &[(&Analysed, Role); 3]) {
         let _ = writeln!(text, "\n# {table} is left out:");
         for axis in axes {
             if let Found::Hidden { reason, at_most } = found(axis) {
-                let bound = at_most.map_or(String::new(), |most| {
-                    format!("; at most {}", digits(most * axis.1.scale * factor))
+                let bound = at_most.map_or(String::new(), |limit| {
+                    format!("; at most {}", digits(limit * axis.1.scale * factor))
                 });
                 let _ = writeln!(text, "#   {}: {reason}{bound}", ["x", "y", "z"][axis.1.axis]);
             }
@@ -290,7 +290,7 @@ fn effect(text: &mut String, entry: &Entry, axes: &[(&Analysed, Role); 3]) {
     });
     let values = axes.iter().map(|axis| {
         let value = found(axis).value().unwrap_or(0.0) * axis.1.scale * factor;
-        // The Allan deviation has no sign; the record has.
+        // The Allan deviation has no sign, so the recording gives the sign.
         let down = *coefficient == Coefficient::RateRamp && !axis.0.rises;
         digits(if down { -value } else { value })
     });
@@ -303,21 +303,21 @@ fn effect(text: &mut String, entry: &Entry, axes: &[(&Analysed, Role); 3]) {
     );
 }
 
-/// The imu.yaml of Kalibr, VINS and OpenVINS.
+/// Returns the imu.yaml of Kalibr, VINS and OpenVINS.
 ///
 /// # Errors
-/// Columns that are not all axes of both sensors, or that show no N.
+/// An axis of gyroscope or accelerometer is missing, or does not show N.
 pub fn kalibr(columns: &[Analysed], provenance: &Provenance) -> Result<String, InputError> {
     let imu = Imu::of(columns, "--kalibr")?;
     let [Some(gyro), Some(accel), _] = &imu.sensors else {
         return Err(InputError::new("must have all axes of gyroscope and accelerometer").field("--kalibr"));
     };
     let mut text = format!(
-        "# IMU noise for Kalibr, VINS and OpenVINS, read off a recording at rest by `sim-host allan --kalibr`.\n#\n{}#\n\
-         # Continuous-time units. A noise density here is N, the root of the two-sided density, as Kalibr's model\n\
-         # has it (a sample's deviation is density·√update_rate); a datasheet's one-sided figure is √2 times that.\n\
-         # A random walk is K of ḃ = K w. One figure stands for three axes: their root mean square.\n\n",
-        head(provenance, columns)
+        "# IMU noise for Kalibr, VINS and OpenVINS, identified from a recording at rest by `sim-host allan --kalibr`.\n#\n{}#\n\
+         # Continuous-time units. A noise density is N, the root of the two-sided density, as in Kalibr's model: the\n\
+         # standard deviation of a sample is density·√update_rate. A datasheet's one-sided value is √2 times as large.\n\
+         # A random walk is K of ḃ = K w. Each value is the root mean square of the three axes.\n\n",
+        header(provenance, columns)
     );
     for (name, axes, [density, walk]) in
         [("accelerometer", accel, ["m/s²/√Hz", "m/s³/√Hz"]), ("gyroscope", gyro, ["rad/s/√Hz", "rad/s²/√Hz"])]
@@ -331,11 +331,11 @@ pub fn kalibr(columns: &[Analysed], provenance: &Provenance) -> Result<String, I
             for (column, role) in axes {
                 let (value, remark) = match &column.fit.found[coefficient as usize] {
                     Found::Value { value, .. } => (*value, ""),
-                    // Too large a walk makes an estimator careful, none at all overconfident.
-                    Found::Hidden { at_most: Some(most), .. }
+                    // The upper bound, because an estimator with too small a random walk is overconfident.
+                    Found::Hidden { at_most: Some(limit), .. }
                         if coefficient == Coefficient::RateRandomWalk =>
                     {
-                        (*most, " at most")
+                        (*limit, " at most")
                     }
                     Found::Hidden { reason, .. } => {
                         return Err(InputError::new(format!("needs {}: {reason}", coefficient.name()))
@@ -357,7 +357,7 @@ pub fn kalibr(columns: &[Analysed], provenance: &Provenance) -> Result<String, I
     }
     let _ = write!(
         text,
-        "\n{:<30} /imu0        # yours\n{:<30} {:<12} # Hz\n",
+        "\n{:<30} /imu0        # set your topic\n{:<30} {:<12} # Hz\n",
         "rostopic:",
         "update_rate:",
         digits(gyro[0].0.rate_hz)
@@ -385,7 +385,7 @@ mod tests {
     }
 
     #[test]
-    fn names_of_columns_say_sensor_axis_and_unit() {
+    fn column_name_gives_sensor_axis_and_unit() {
         let role = Role::of("gyro_y_deg_s").unwrap();
         assert_eq!((role.kind, role.axis, role.unit), (Kind::Gyro, 1, "°/s"));
         assert_eq!(Role::of("accel_z_g").unwrap().scale, GRAVITY);

@@ -1,9 +1,9 @@
-//! The deviations on logarithmic axes: bounds, slopes, coefficients.
+//! Plots of Allan deviations on logarithmic axes, with bounds, slopes and coefficients.
 
 use crate::chart::{Band, Chart, Label, Line, Panel, Stroke, colour};
 use allan::{Coefficient, Fit, Found, Point};
 
-/// The colour of a coefficient's slope.
+/// Returns the colour of a coefficient's slope.
 fn colour_of(coefficient: Coefficient) -> &'static str {
     match coefficient {
         Coefficient::Quantization => colour::PURPLE,
@@ -14,7 +14,7 @@ fn colour_of(coefficient: Coefficient) -> &'static str {
     }
 }
 
-/// A column as a panel: its points with their bounds, and, if they are of the kind that was fitted, the slopes.
+/// Returns the panel of a column: its points with their bounds, and the slopes if there is a fit for this statistic.
 pub fn panel(title: &str, unit: &str, points: &[Point], fit: Option<&Fit>) -> Panel {
     let mut lines = Vec::new();
     let mut labels = Vec::new();
@@ -31,16 +31,17 @@ pub fn panel(title: &str, unit: &str, points: &[Point], fit: Option<&Fit>) -> Pa
             let colour = colour_of(coefficient);
             let slope = Line::new("", Stroke::dashed(colour, 1.2), vec![at(first), at(last)]);
             lines.push(Line { sets_axes: false, ..slope });
-            // Read off where tradition does, or, if that is off the plot, where the term is most of the whole.
+            // The label is at the usual averaging time for reading the coefficient. If that is outside the plot, it is
+            // where the term has the largest share of the variance.
             let part = |tau_s: f64| {
                 let all: f64 = values.iter().map(|&term| variance(term, tau_s)).sum();
                 variance((coefficient, value), tau_s) / all
             };
-            let most = points.iter().map(|p| p.tau_s).max_by(|a, b| part(*a).total_cmp(&part(*b)));
+            let dominant = points.iter().map(|p| p.tau_s).max_by(|a, b| part(*a).total_cmp(&part(*b)));
             let read_at =
                 coefficient.read_at_s().filter(|tau_s| (first..=last).contains(tau_s) && part(*tau_s) > 0.02);
             let text = format!("{} {} {}", coefficient.letter(), short(value), coefficient.unit(unit));
-            labels.push(Label { at: at(read_at.or(most).unwrap_or(first)), text, colour });
+            labels.push(Label { at: at(read_at.or(dominant).unwrap_or(first)), text, colour });
         }
         if let Some((from, to)) = fit.range_s {
             let model = |tau_s: f64| libm::sqrt(values.iter().map(|&term| variance(term, tau_s)).sum());
@@ -51,7 +52,7 @@ pub fn panel(title: &str, unit: &str, points: &[Point], fit: Option<&Fit>) -> Pa
         }
     }
     let measured = points.iter().map(|p| (p.tau_s, p.deviation)).collect();
-    // Dots for octaves; thousands of them would be a line anyway.
+    // Dots for octaves; thousands of dots would look like a line.
     let deviation = Line::new("deviation, 68 %", Stroke::solid(colour::BLUE, 1.4), measured);
     lines.push(Line { dots: points.len() < 80, ..deviation });
     let bounds = points.iter().map(|p| (p.tau_s, p.lower, p.upper)).collect();
@@ -59,7 +60,7 @@ pub fn panel(title: &str, unit: &str, points: &[Point], fit: Option<&Fit>) -> Pa
     Panel { bands, labels, ..Panel::new(title, unit, 420.0, lines) }
 }
 
-/// Three digits.
+/// Formats a number with three digits.
 pub fn short(value: f64) -> String {
     if (1e-3..1e4).contains(&value) {
         let digits = (2.0 - libm::floor(libm::log10(value))).max(0.0) as usize;
@@ -69,7 +70,7 @@ pub fn short(value: f64) -> String {
     }
 }
 
-/// A picture of such panels.
+/// Returns a chart of such panels.
 pub fn chart(heading: (String, String), mut panels: Vec<Panel>) -> Chart {
     let many = panels.len() > 1;
     if many {
@@ -84,8 +85,8 @@ pub fn chart(heading: (String, String), mut panels: Vec<Panel>) -> Chart {
     }
 }
 
-/// A value with its uncertainty, or why there is none, for people.
-pub fn said(coefficient: Coefficient, found: &Found, unit: &str) -> String {
+/// Describes a value with its uncertainty, or the reason why there is no value.
+pub fn describe(coefficient: Coefficient, found: &Found, unit: &str) -> String {
     let unit = coefficient.unit(unit);
     match found {
         Found::Value { value, uncertainty } => {

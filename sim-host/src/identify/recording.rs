@@ -1,16 +1,16 @@
-//! Columns of a CSV file that need not be one of the project's logs.
+//! Reads columns of any CSV file, not only of the project's logs.
 //!
-//! Columns are parted by commas, semicolons or tabs, with or without a header row; beside semicolons a comma is
-//! a decimal one. Which it is is found from the first lines, and where they leave a doubt there is an error
-//! that says how to settle it, not a guess.
+//! Columns are separated by commas, semicolons or tabs, with or without a header row. In a file with semicolons a comma
+//! is a decimal comma. The layout is found from the first lines. If they are ambiguous, the result is an error that
+//! names the option to set, not a guess.
 //!
-//! Nothing is bridged. A cell that is no number, a stamp that is out of step, a column of one value are errors
-//! with file, line and column. A column that has values in every k-th row only, like a magnetometer's beside a
-//! faster gyroscope, is a column of its own rate; a value missing from that rhythm is a gap, and an error.
+//! Missing data are not interpolated. A cell that is not a number, an irregular time stamp, or a constant column
+//! is an error with file, line and column. A column with values in every k-th row only, such as a magnetometer's
+//! next to a faster gyroscope, has a lower rate. A missing value in that pattern is a gap, which is an error.
 //!
 //! # Memory
-//! A column is held as doubles and turned into its running sums in place: 0.8 GB for 10⁸ rows. The file is
-//! read again as often as it takes for no more than `MEMORY` to be held at once.
+//! A column is stored as doubles and converted to its running sums in place: 0.8 GB for 10⁸ rows. The file is read
+//! several times if the columns need more than `MEMORY` together.
 
 use std::fmt;
 use std::fs::File;
@@ -20,22 +20,23 @@ use std::path::{Path, PathBuf};
 use crate::log::Records;
 use input::InputError;
 
-/// Bytes of samples held at once.
+/// Memory for samples, bytes.
 const MEMORY: u64 = 1 << 30;
-/// Of the file, what the layout is found from.
-const GLIMPSE: u64 = 1 << 16;
-/// Largest magnitude of a value: the square of a sum of 10⁹ of them is still a number.
-const LARGEST: f64 = 1e100;
+/// Length of the start of the file from which the layout is found, bytes.
+const PROBE_BYTES: u64 = 1 << 16;
+/// Largest magnitude of a value: the square of a sum of 10⁹ of them is still finite.
+const MAX_VALUE: f64 = 1e100;
 /// Rows between two reports of progress.
-const ROWS_PER_LOOK: u64 = 1 << 16;
-/// How far a step of the stamps may be from the mean one, as a part of it, besides the rounding of the stamps.
+const ROWS_PER_PROGRESS: u64 = 1 << 16;
+/// Largest deviation of a time step from the mean, as a share of the mean. The rounding of the stamps is allowed in any
+/// case.
 const JITTER: f64 = 0.1;
-/// Differences that the converter's step is looked for in.
+/// Number of samples in which the converter's step is searched.
 const STEP_SAMPLES: usize = 4096;
 
-/// What can be read from its beginning, as often as it takes.
+/// A source that can be read several times.
 pub trait Source: fmt::Debug {
-    /// A reader at the beginning.
+    /// Returns a reader at the start of the source.
     fn open(&self) -> io::Result<Box<dyn Read + '_>>;
 }
 
@@ -51,55 +52,55 @@ impl Source for Vec<u8> {
     }
 }
 
-/// A file whose layout is known.
+/// A file with a known layout.
 #[derive(Debug)]
 pub struct Recording {
     path: PathBuf,
     source: Box<dyn Source>,
     separator: u8,
-    /// Names, or numbers from 1 if there is no header.
+    /// Names of the columns, or numbers from 1 if there is no header.
     names: Vec<String>,
     has_header: bool,
     bytes: u64,
     bytes_per_row: f64,
 }
 
-/// What the caller says of the layout; what is `None` is found.
+/// The layout given by the caller; `None` means: find it.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Layout {
-    /// What parts the columns.
+    /// Separator of the columns.
     pub separator: Option<u8>,
-    /// Whether the first row is a header.
+    /// True if the first row is a header.
     pub header: Option<bool>,
 }
 
 /// A column that was read.
 #[derive(Clone, Debug)]
 pub struct Column {
-    /// Its name or number.
+    /// Name or number of the column.
     pub name: String,
-    /// Its values.
+    /// Values.
     pub samples: Vec<f64>,
-    /// Rows to a value: 1, but where a slow sensor has a column beside a fast one.
+    /// Rows per value: 1, or more for a slow sensor next to a fast one.
     pub rows_per_value: u64,
     /// Mean of the values.
     pub mean: f64,
-    /// The converter's step, if all differences are whole multiples of one.
+    /// Step of the converter, if all differences are integer multiples of one step.
     pub step: Option<f64>,
 }
 
-/// What was read of a file.
+/// The data read from a file.
 #[derive(Clone, Debug, Default)]
 pub struct Contents {
-    /// The columns, in the order asked for.
+    /// The columns, in the requested order.
     pub columns: Vec<Column>,
-    /// The stamps, if asked for.
+    /// The time stamps, if requested.
     pub stamps: Option<Stamps>,
-    /// Lowest and highest temperature, in the unit of its column, if asked for and there.
+    /// Lowest and highest temperature, in the unit of its column, if requested and present.
     pub temperature: Option<(f64, f64)>,
 }
 
-/// The stamps of the rows.
+/// The time stamps of the rows.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Stamps {
     /// Mean interval between rows, s.
@@ -117,7 +118,7 @@ fn parse(cell: &[u8], decimal_comma: bool) -> Option<f64> {
     text.parse().ok()
 }
 
-fn named(separator: u8) -> &'static str {
+fn separator_name(separator: u8) -> &'static str {
     match separator {
         b',' => "comma",
         b';' => "semicolon",
@@ -129,7 +130,7 @@ impl Recording {
     /// Opens the file at `path` and finds its layout.
     ///
     /// # Errors
-    /// A file that cannot be read, has no rows, or whose layout is in doubt.
+    /// The file cannot be read, has no rows, or has an ambiguous layout.
     pub fn open(path: impl AsRef<Path>, layout: Layout) -> Result<Self, InputError> {
         let path = path.as_ref();
         let found = std::fs::metadata(path)
@@ -142,10 +143,10 @@ impl Recording {
         Self::of(path.to_path_buf(), found.len(), path, layout)
     }
 
-    /// Finds the layout of so many bytes; `path` is what errors call them.
+    /// Finds the layout of a source of `bytes` bytes. Error messages name it `path`.
     ///
     /// # Errors
-    /// As of a file.
+    /// As for [`Self::open`].
     pub fn of(
         source: impl Source + 'static,
         bytes: u64,
@@ -154,19 +155,19 @@ impl Recording {
     ) -> Result<Self, InputError> {
         let path = path.as_ref().to_path_buf();
         let cannot_read = |error: io::Error| InputError::new(format!("cannot be read: {error}")).file(&path);
-        let mut glimpse = Vec::new();
+        let mut probe = Vec::new();
         let start = source.open().map_err(cannot_read)?;
-        start.take(GLIMPSE).read_to_end(&mut glimpse).map_err(cannot_read)?;
-        if (glimpse.len() as u64) < bytes {
-            // The last line is cut off: it would be a row of its own kind.
-            let whole = glimpse.iter().rposition(|&b| b == b'\n').map_or(glimpse.len(), |at| at + 1);
-            glimpse.truncate(whole);
+        start.take(PROBE_BYTES).read_to_end(&mut probe).map_err(cannot_read)?;
+        if (probe.len() as u64) < bytes {
+            // The last line is incomplete, and would look like a row with a different layout.
+            let whole = probe.iter().rposition(|&b| b == b'\n').map_or(probe.len(), |at| at + 1);
+            probe.truncate(whole);
         }
         let separator = match layout.separator {
             Some(separator) => separator,
-            None => separator(&glimpse).map_err(|error| error.file(&path))?,
+            None => find_separator(&probe).map_err(|error| error.file(&path))?,
         };
-        let rows = rows(&glimpse, separator).map_err(|error| error.file(&path))?;
+        let rows = rows(&probe, separator).map_err(|error| error.file(&path))?;
         let Some((first, others)) = rows.split_first() else {
             return Err(InputError::new("the file is empty: it must have rows of numbers").file(&path));
         };
@@ -179,42 +180,42 @@ impl Recording {
         } else {
             (1..=first.len()).map(|number| number.to_string()).collect()
         };
-        let bytes_per_row = glimpse.len() as f64 / rows.len() as f64;
+        let bytes_per_row = probe.len() as f64 / rows.len() as f64;
         let source = Box::new(source);
         Ok(Self { path, source, separator, names, has_header, bytes, bytes_per_row })
     }
 
-    /// The names of the columns; numbers from 1 if there is no header.
+    /// Returns the names of the columns, or numbers from 1 if there is no header.
     pub fn names(&self) -> &[String] {
         &self.names
     }
 
-    /// Whether the file has a header.
+    /// Returns true if the file has a header.
     pub fn has_header(&self) -> bool {
         self.has_header
     }
 
-    /// Bytes in the file.
+    /// Returns the size of the file, bytes.
     pub fn bytes(&self) -> u64 {
         self.bytes
     }
 
-    /// An error about this file.
+    /// Returns an error about this file.
     pub fn error(&self, what: impl Into<String>) -> InputError {
         InputError::new(what).file(&self.path)
     }
 
-    /// The place of a column, by name or by number from 1.
+    /// Returns the index of a column, found by its name or its number from 1.
     ///
     /// # Errors
-    /// A column that there is not, or that two can be meant by.
+    /// There is no such column, or the name is ambiguous.
     pub fn find(&self, column: &str) -> Result<usize, InputError> {
         let error = |what: String| Err(self.error(what).field("--column").value(column));
         let named: Vec<usize> = (0..self.names.len()).filter(|&i| self.names[i] == column).collect();
         let numbered =
             column.parse::<usize>().ok().filter(|n| (1..=self.names.len()).contains(n)).map(|n| n - 1);
         match (named.as_slice(), numbered) {
-            ([_, _, ..], _) => error(format!("{} columns have this name: say its number", named.len())),
+            ([_, _, ..], _) => error(format!("{} columns have this name: give its number", named.len())),
             (&[named], Some(number)) if named != number => error(format!(
                 "column {} has this name, and column {column} this number: rename one",
                 named + 1
@@ -232,17 +233,17 @@ impl Recording {
         }
     }
 
-    /// How many columns can be held at once.
+    /// Returns the number of columns that fit into memory at the same time.
     pub fn columns_at_once(&self) -> usize {
         let rows = (self.bytes as f64 / self.bytes_per_row).max(1.0) as u64;
         (MEMORY / (8 * rows)).max(1) as usize
     }
 
-    /// Reads the columns at these places, each with the name that it goes by, the stamps in the column at
-    /// `time`, and the range of the column at `temperature`. `progress` hears of the bytes.
+    /// Reads the columns at these indices, each with the name to use for it; the time stamps in the column `time`; and
+    /// the range of the column `temperature`. `progress` gets the number of bytes read.
     ///
     /// # Errors
-    /// Anything that is no series of evenly sampled, finite numbers.
+    /// A column is not a series of evenly sampled, finite numbers.
     pub fn read(
         &self,
         columns: &[(usize, String)],
@@ -254,9 +255,9 @@ impl Recording {
         let source = self.source.open().map_err(|error| cannot_read(&error))?;
         let mut records = Records::separated_by(self.separator, Some(b'#'), source);
         let estimate = (self.bytes as f64 / self.bytes_per_row * 1.02) as usize + 16;
-        let mut builders: Vec<Builder> =
-            columns.iter().map(|(at, name)| Builder::new(*at, name, estimate)).collect();
-        let mut stamps = time.map(Stamping::new);
+        let mut builders: Vec<ColumnBuilder> =
+            columns.iter().map(|(at, name)| ColumnBuilder::new(*at, name, estimate)).collect();
+        let mut stamps = time.map(StampChecker::new);
         let mut range: Option<(f64, f64)> = None;
         let mut rows = 0_u64;
         if self.has_header {
@@ -271,21 +272,21 @@ impl Recording {
                 return Err(at_line(error.field("number of cells").value(cells.len())));
             }
             for builder in &mut builders {
-                builder.take(&cells[builder.at], rows, self.separator == b';').map_err(at_line)?;
+                builder.add(&cells[builder.at], rows, self.separator == b';').map_err(at_line)?;
             }
             if let Some(stamps) = &mut stamps {
                 let name = &self.names[stamps.at];
                 stamps
-                    .take(&cells[stamps.at], rows, records.line(), self.separator == b';')
+                    .add(&cells[stamps.at], rows, records.line(), self.separator == b';')
                     .map_err(|error| at_line(error.field(name)))?;
             }
-            // The temperature is a remark: a cell that is none says nothing.
+            // The temperature is only a comment in the results, so a cell that is not a number is skipped.
             if let Some(value) = temperature.and_then(|at| parse(&cells[at], self.separator == b';')) {
                 let (low, high) = range.unwrap_or((value, value));
                 range = Some((low.min(value), high.max(value)));
             }
             rows += 1;
-            if rows.is_multiple_of(ROWS_PER_LOOK) {
+            if rows.is_multiple_of(ROWS_PER_PROGRESS) {
                 progress((rows as f64 * self.bytes_per_row) as u64);
             }
         }
@@ -299,20 +300,21 @@ impl Recording {
     }
 }
 
-/// A column on its way.
-struct Builder {
+/// A column while it is read.
+struct ColumnBuilder {
     at: usize,
     name: String,
     samples: Vec<f64>,
-    /// Row of the last value, and rows between values once two have been seen.
+    /// Row of the last value.
     last: Option<u64>,
+    /// Rows between values, known after the second value.
     rows_per_value: Option<u64>,
     first_row: u64,
     low: f64,
     high: f64,
 }
 
-impl Builder {
+impl ColumnBuilder {
     fn new(at: usize, name: &str, rows: usize) -> Self {
         Self {
             at,
@@ -327,16 +329,16 @@ impl Builder {
     }
 
     #[inline]
-    fn take(&mut self, cell: &[u8], row: u64, decimal_comma: bool) -> Result<(), InputError> {
+    fn add(&mut self, cell: &[u8], row: u64, decimal_comma: bool) -> Result<(), InputError> {
         if cell.is_empty() {
             let due = self.last.zip(self.rows_per_value).is_some_and(|(last, every)| row >= last + every);
             return if due { Err(self.gap(cell)) } else { Ok(()) };
         }
         let value = match parse(cell, decimal_comma) {
-            Some(value) if value.abs() <= LARGEST => value,
+            Some(value) if value.abs() <= MAX_VALUE => value,
             Some(value) if value.is_nan() => return Err(self.gap(cell)),
             _ => {
-                let allowed = format!("must be a number from -{LARGEST:e} to {LARGEST:e}");
+                let allowed = format!("must be a number from -{MAX_VALUE:e} to {MAX_VALUE:e}");
                 return Err(InputError::new(allowed).field(&self.name).value(String::from_utf8_lossy(cell)));
             }
         };
@@ -357,7 +359,7 @@ impl Builder {
         let every = self.rows_per_value.unwrap_or(1);
         let rhythm = if every == 1 { "every row".into() } else { format!("every {every}th row") };
         InputError::new(format!(
-            "a gap: the column must have a number in {rhythm}; cut the record there and analyse the longer part"
+            "gap: the column must have a number in {rhythm}; cut the recording there and analyse the longer part"
         ))
         .field(&self.name)
         .value(String::from_utf8_lossy(cell))
@@ -371,7 +373,7 @@ impl Builder {
         }
         if self.first_row >= every || self.last.is_some_and(|last| last + every < rows) {
             return Err(InputError::new(format!(
-                "a gap: the column has values in rows {} to {} of {rows} only",
+                "gap: the column has values only in rows {} to {} of {rows}",
                 self.first_row + 1,
                 self.last.unwrap_or(0) + 1
             ))
@@ -386,49 +388,50 @@ impl Builder {
         }
         let origin = self.samples[0];
         let mean = origin + self.samples.iter().map(|y| y - origin).sum::<f64>() / count as f64;
-        let step = step(&self.samples);
+        let step = converter_step(&self.samples);
         Ok(Column { name: self.name, samples: self.samples, rows_per_value: every, mean, step })
     }
 }
 
-/// The step that all differences of neighbours are whole multiples of, if there is one: the smallest of them,
-/// as long as the rounding of printed numbers leaves it recognisable.
-fn step(samples: &[f64]) -> Option<f64> {
+/// Returns the step of which all differences of neighbours are integer multiples, if there is one. It is the smallest
+/// difference, as far as the rounding of printed numbers allows.
+fn converter_step(samples: &[f64]) -> Option<f64> {
     let some = &samples[..samples.len().min(STEP_SAMPLES)];
     let differences = || some.windows(2).map(|w| (w[1] - w[0]).abs());
-    let largest = some.iter().fold(0.0, |most: f64, y| most.max(y.abs()));
-    let nothing = largest * 1e-12;
-    let least = differences().filter(|&d| d > nothing).fold(f64::INFINITY, f64::min);
-    // The mean of the differences nearest to one step is better than any of them, which are rounded.
-    let ones = || differences().filter(|&d| d > nothing && d < 1.5 * least);
+    let largest = some.iter().fold(0.0, |largest: f64, y| largest.max(y.abs()));
+    let negligible = largest * 1e-12;
+    let minimum = differences().filter(|&d| d > negligible).fold(f64::INFINITY, f64::min);
+    // The differences are rounded, so the mean of those near one step is more accurate than each of them.
+    let ones = || differences().filter(|&d| d > negligible && d < 1.5 * minimum);
     let step = ones().sum::<f64>() / ones().count() as f64;
     let is_multiple = |d: f64| {
         let steps = d / step;
         (steps - libm::round(steps)).abs() < 0.05 && steps < 1e6
     };
-    // One in 64 differences being a single step or none at all is a converter, and not chance.
+    // If one in 64 differences is at most a single step, it comes from a converter and not from chance.
     let few = differences().filter(|&d| d < 1.5 * step).count() * 64 > some.len();
     (step.is_finite() && few && differences().all(is_multiple)).then_some(step)
 }
 
-/// Stamps on their way.
-struct Stamping {
+/// Checks the time stamps while they are read.
+struct StampChecker {
     at: usize,
     first: f64,
     last: f64,
-    /// Shortest and longest step, and the lines that they end in.
+    /// Shortest step, s, and the line in which it ends.
     shortest: (f64, u64),
+    /// Longest step, s, and the line in which it ends.
     longest: (f64, u64),
-    /// Digits after the point, at most.
+    /// Maximum number of digits after the point.
     digits: u32,
 }
 
-impl Stamping {
+impl StampChecker {
     fn new(at: usize) -> Self {
         Self { at, first: 0.0, last: 0.0, shortest: (f64::INFINITY, 0), longest: (0.0, 0), digits: 0 }
     }
 
-    fn take(&mut self, cell: &[u8], row: u64, line: u64, decimal_comma: bool) -> Result<(), InputError> {
+    fn add(&mut self, cell: &[u8], row: u64, line: u64, decimal_comma: bool) -> Result<(), InputError> {
         let time_s = parse(cell, decimal_comma).filter(|t| t.abs() <= 1e12).ok_or_else(|| {
             InputError::new("must be a number from -1e12 to 1e12 s").value(String::from_utf8_lossy(cell))
         })?;
@@ -441,7 +444,9 @@ impl Stamping {
             let step = time_s - self.last;
             if step <= 0.0 {
                 let before = self.last;
-                return Err(InputError::new(format!("must rise: the row before has {before}")).value(time_s));
+                return Err(
+                    InputError::new(format!("must increase: the previous row has {before}")).value(time_s)
+                );
             }
             if step < self.shortest.0 {
                 self.shortest = (step, line);
@@ -461,18 +466,18 @@ impl Stamping {
         for (step, line) in [self.longest, self.shortest] {
             if (step - interval_s).abs() > tolerance {
                 return Err(InputError::new(format!(
-                    "uneven stamps: the steps must be within {tolerance:.3e} s of their mean, {interval_s:.6e} s; \
-                     --rate-hz takes the rows as even"
+                    "uneven time stamps: the steps must be within {tolerance:.3e} s of their mean, {interval_s:.6e} s; \
+                     set --rate-hz to treat the rows as even"
                 ))
                 .line(line)
-                .value(format_args!("{step:.6e} s after the row before")));
+                .value(format_args!("{step:.6e} s after the previous row")));
             }
         }
         Ok(Stamps { interval_s })
     }
 }
 
-/// The rows of a text; their cells as text.
+/// Returns the rows of a text, as cells of text.
 fn rows(text: &[u8], separator: u8) -> Result<Vec<Vec<String>>, InputError> {
     let mut records = Records::separated_by(separator, Some(b'#'), text);
     let mut rows = Vec::new();
@@ -483,43 +488,43 @@ fn rows(text: &[u8], separator: u8) -> Result<Vec<Vec<String>>, InputError> {
     Ok(rows)
 }
 
-/// What parts the columns: the one that gives all lines the same number of cells, more than one, with no
-/// other separator left in them.
-fn separator(text: &[u8]) -> Result<u8, InputError> {
-    let mut fitting = Vec::new();
+/// Finds the separator of the columns: the one with which all lines have the same number of cells, more than one, and no
+/// cell contains another separator.
+fn find_separator(text: &[u8]) -> Result<u8, InputError> {
+    let mut candidates = Vec::new();
     for separator in *b",;\t" {
         let rows = rows(text, separator)?;
         let width = rows.first().map_or(0, Vec::len);
         let decimal = |cell: &str| separator == b';' && parse(cell.as_bytes(), true).is_some();
         let left = |cell: &String| cell.contains([',', ';', '\t']) && !decimal(cell);
         if width > 1 && rows.iter().all(|row| row.len() == width && !row.iter().any(left)) {
-            fitting.push(separator);
+            candidates.push(separator);
         }
     }
-    match fitting.as_slice() {
+    match candidates.as_slice() {
         [one] => Ok(*one),
         [] => {
-            // One column, or a file whose lines differ: reading it says where.
+            // The file has one column, or its lines differ. In the second case the reader reports the line.
             let used = b",;\t".iter().copied().filter(|s| text.contains(s)).collect::<Vec<_>>();
             match used.as_slice() {
                 [] => Ok(b','),
                 [one] => Ok(*one),
                 _ => Err(InputError::new(
-                    "cannot tell what parts the columns: say --separator comma, semicolon or tab",
+                    "the separator of the columns is ambiguous: set --separator to comma, semicolon or tab",
                 )),
             }
         }
         several => {
-            let names: Vec<&str> = several.iter().map(|&s| named(s)).collect();
+            let names: Vec<&str> = several.iter().map(|&s| separator_name(s)).collect();
             Err(InputError::new(format!(
-                "the columns could be parted by {}: say --separator",
+                "the separator of the columns may be {}: set --separator",
                 names.join(" or ")
             )))
         }
     }
 }
 
-/// Whether the first row is a header: text above numbers.
+/// Returns true if the first row is a header: text above numbers.
 fn has_header(first: &[String], others: &[Vec<String>], separator: u8) -> Result<bool, InputError> {
     let is_number = |cell: &String| parse(cell.as_bytes(), separator == b';').is_some();
     let mut text_above_numbers = false;
@@ -534,7 +539,7 @@ fn has_header(first: &[String], others: &[Vec<String>], separator: u8) -> Result
     }
     match (text_above_numbers, number_above_numbers) {
         (true, true) if first.iter().all(|cell| !cell.is_empty()) => {
-            Err(InputError::new("the first row is partly text and partly numbers: say --header yes or no")
+            Err(InputError::new("the first row is partly text and partly numbers: set --header to yes or no")
                 .line(1))
         }
         (true, false) => Ok(true),

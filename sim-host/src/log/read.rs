@@ -1,4 +1,4 @@
-//! Reading a log, with every cell checked.
+//! Reads a log and checks every cell.
 
 use std::fs::File;
 use std::io::{self, Read};
@@ -9,26 +9,25 @@ use csv::ByteRecord;
 use super::{Axes, COLUMNS, LogRow};
 use input::InputError;
 
-/// Largest time, s: beyond it a double no longer tells microseconds apart (2⁵³ µs).
-const LARGEST_TIME_S: f64 = 9.0e9;
+/// Largest time, s: beyond 2⁵³ µs a double no longer resolves microseconds.
+const MAX_TIME_S: f64 = 9.0e9;
 
-/// Largest magnitude of a reading, in its own unit. Far beyond any sensor, and its square is still far from
-/// the end of f32, which the flight code computes in.
-const LARGEST_READING: f64 = 1e6;
+/// Largest magnitude of a reading, in its own unit. It is far beyond any sensor, and its square is still far below the
+/// largest f32, in which the flight code computes.
+const MAX_READING: f64 = 1e6;
 
-/// How far the norm of a reference may be from 1. Rounded and interpolated attitudes stay well within;
-/// what isn't a unit quaternion at all doesn't.
+/// Largest deviation of the norm of a reference from 1. Rounded and interpolated attitudes have smaller deviations.
 const NORM_TOLERANCE: f64 = 0.1;
 
 /// A whole log in memory.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Log {
-    /// The samples, in rising time; at least one.
+    /// The samples in order of time; at least one.
     pub rows: Vec<LogRow>,
 }
 
 impl Log {
-    /// Reads the file at `path`, whose axes are `axes`.
+    /// Reads the file at `path` with the axes `axes`.
     pub fn read(path: impl AsRef<Path>, axes: Axes) -> Result<Self, InputError> {
         Self::collect(LogReader::open(path, axes)?)
     }
@@ -42,7 +41,7 @@ impl Log {
         Ok(Self { rows })
     }
 
-    /// Mean interval between samples, s; `None` if there is only one.
+    /// Returns the mean interval between samples, s; `None` if there is only one sample.
     pub fn mean_interval_s(&self) -> Option<f64> {
         match self.rows.as_slice() {
             [first, .., last] => Some((last.time_s - first.time_s) / (self.rows.len() - 1) as f64),
@@ -51,7 +50,7 @@ impl Log {
     }
 }
 
-/// Reads a log row by row. After an error it ends.
+/// A reader of a log, row by row. It ends after an error.
 #[derive(Debug)]
 pub struct LogReader<R> {
     records: Records<R>,
@@ -60,12 +59,12 @@ pub struct LogReader<R> {
     columns: Columns,
     /// Number of cells in the header.
     width: usize,
-    /// Time of the row before, µs.
+    /// Time of the previous row, µs.
     last_us: Option<i64>,
     ended: bool,
 }
 
-/// Where each group of columns stands in the file, if it is there.
+/// Index of each column in the file; `None` for a group that is missing.
 #[derive(Debug)]
 struct Columns {
     time: usize,
@@ -77,18 +76,18 @@ struct Columns {
 }
 
 impl LogReader<File> {
-    /// Opens the file at `path`, whose axes are `axes`, and reads its header.
+    /// Opens the file at `path` with the axes `axes`, and reads its header.
     pub fn open(path: impl AsRef<Path>, axes: Axes) -> Result<Self, InputError> {
         let path = path.as_ref();
         let cannot_read = |error| InputError::new(format!("cannot be read: {error}")).file(path);
         let file = File::open(path).map_err(cannot_read)?;
-        // Opening a directory succeeds; it is the reading that fails, and later.
+        // Opening a directory succeeds; reading from it fails later.
         Self::new(file, path, axes)
     }
 }
 
 impl<R: Read> LogReader<R> {
-    /// Reads a log from `source`; `path` is what errors call it.
+    /// Creates a reader of `source`, which error messages name `path`, and reads the header.
     pub fn new(source: R, path: impl AsRef<Path>, axes: Axes) -> Result<Self, InputError> {
         let path = path.as_ref().to_path_buf();
         let mut records = Records::new(source);
@@ -101,7 +100,7 @@ impl<R: Read> LogReader<R> {
         Ok(Self { records, path, axes, columns, width, last_us: None, ended: false })
     }
 
-    /// The current record as a row in the project's axes; errors don't know file and line yet.
+    /// Converts the current record to a row in the project's axes. The caller adds file and line to errors.
     fn row(&mut self) -> Result<LogRow, InputError> {
         let cells = &self.records.current;
         if cells.len() != self.width {
@@ -111,10 +110,10 @@ impl<R: Read> LogReader<R> {
         }
         let columns = &self.columns;
         let row = LogRow {
-            time_s: number(cells, "time_s", columns.time, LARGEST_TIME_S)?,
-            gyro_rad_s: numbers(cells, GYRO, columns.gyro, LARGEST_READING)?,
-            accel_m_s2: numbers(cells, ACCEL, columns.accel, LARGEST_READING)?,
-            mag_ut: optional(cells, MAG, columns.mag, LARGEST_READING)?,
+            time_s: number(cells, "time_s", columns.time, MAX_TIME_S)?,
+            gyro_rad_s: numbers(cells, GYRO, columns.gyro, MAX_READING)?,
+            accel_m_s2: numbers(cells, ACCEL, columns.accel, MAX_READING)?,
+            mag_ut: optional(cells, MAG, columns.mag, MAX_READING)?,
             reference: optional(cells, REFERENCE, columns.reference, 1.0 + NORM_TOLERANCE)?
                 .map(rotation)
                 .transpose()?,
@@ -126,7 +125,7 @@ impl<R: Read> LogReader<R> {
         {
             let before = last_us as f64 / 1e6;
             return Err(InputError::new(format!(
-                "must be at least 1 µs after the row before it ({before} s)"
+                "must be at least 1 µs after the previous row ({before} s)"
             ))
             .field("time_s")
             .value(text(&cells[columns.time])));
@@ -153,7 +152,7 @@ impl<R: Read> Iterator for LogReader<R> {
     }
 }
 
-/// The records of the file that aren't blank.
+/// The non-blank records of a file.
 #[derive(Debug)]
 pub(crate) struct Records<R> {
     csv: csv::Reader<io::Chain<R, &'static [u8]>>,
@@ -165,24 +164,24 @@ impl<R: Read> Records<R> {
         Self::separated_by(b',', None, source)
     }
 
-    /// Cells parted by this byte; lines that begin with `comment` are skipped.
+    /// Creates a reader of records with this separator of cells. Lines that begin with `comment` are skipped.
     pub(crate) fn separated_by(separator: u8, comment: Option<u8>, source: R) -> Self {
         let csv = csv::ReaderBuilder::new()
             .delimiter(separator)
             .comment(comment)
             .buffer_capacity(1 << 16)
-            // A row of the wrong length and a missing header are reported here, with the project's words.
+            // This module reports rows of the wrong length and a missing header with its own error messages.
             .flexible(true)
             .has_headers(false)
-            // One newline ends every record, the last one too, so that `line` can count back from it. The
-            // carriage returns of the other convention are trimmed as white space.
+            // A newline ends every record, including the last one, so that `line` can count back from it. Carriage
+            // returns are trimmed as white space.
             .terminator(csv::Terminator::Any(b'\n'))
             .trim(csv::Trim::All)
             .from_reader(source.chain(b"\n".as_slice()));
         Self { csv, current: ByteRecord::new() }
     }
 
-    /// Goes to the next record that isn't blank; false at the end of the file.
+    /// Advances to the next non-blank record. Returns false at the end of the file.
     pub(crate) fn advance(&mut self) -> Result<bool, csv::Error> {
         loop {
             if !self.csv.read_byte_record(&mut self.current)? {
@@ -194,8 +193,8 @@ impl<R: Read> Records<R> {
         }
     }
 
-    /// The line that the current record begins in, counted from 1. (The position that the record carries
-    /// is where the blank lines before it begin.)
+    /// Returns the line in which the current record begins, counted from 1. (The record's own position is that of the
+    /// blank lines before it.)
     pub(crate) fn line(&self) -> u64 {
         let inside = self.current.as_slice().iter().filter(|&&byte| byte == b'\n').count() as u64;
         self.csv.position().line().saturating_sub(1 + inside)
@@ -211,7 +210,7 @@ impl Columns {
     fn find(header: &ByteRecord) -> Result<Self, InputError> {
         for name in COLUMNS {
             if header.iter().filter(|cell| *cell == name.as_bytes()).count() > 1 {
-                return Err(InputError::new("the column must stand in the header once").field(name));
+                return Err(InputError::new("the column must be in the header only once").field(name));
             }
         }
         let position = |name: &str| header.iter().position(|cell| cell == name.as_bytes());
@@ -261,13 +260,13 @@ fn all_or_none<const N: usize>(
     .map(Some)
 }
 
-/// A cell as a finite number of magnitude `largest` at most.
+/// Parses a cell as a finite number of magnitude at most `largest`.
 fn number(cells: &ByteRecord, name: &str, column: usize, largest: f64) -> Result<f64, InputError> {
     let cell = &cells[column];
     std::str::from_utf8(cell)
         .ok()
         .and_then(|cell| cell.parse::<f64>().ok())
-        // NaN fails the comparison too.
+        // NaN also fails this comparison.
         .filter(|x| x.abs() <= largest)
         .ok_or_else(|| {
             InputError::new(format!("must be a number from -{largest} to {largest}"))
@@ -289,7 +288,7 @@ fn numbers<const N: usize>(
     Ok(values)
 }
 
-/// As [`numbers`]; `None` if the columns are absent or the cells empty.
+/// Does [`numbers`] for optional columns; `None` if the columns are missing or all cells are empty.
 fn optional<const N: usize>(
     cells: &ByteRecord,
     names: [&str; N],
@@ -310,7 +309,7 @@ fn optional<const N: usize>(
     numbers(cells, names, columns, largest).map(Some)
 }
 
-/// A cell that is 0 or 1.
+/// Parses a cell that is 0 or 1.
 fn flag(cells: &ByteRecord, name: &str, column: usize) -> Result<bool, InputError> {
     match &cells[column] {
         b"0" => Ok(false),
@@ -319,12 +318,12 @@ fn flag(cells: &ByteRecord, name: &str, column: usize) -> Result<bool, InputErro
     }
 }
 
-/// The unit quaternion along `q`.
+/// Normalises `q` to a unit quaternion.
 fn rotation(q: [f64; 4]) -> Result<[f64; 4], InputError> {
     let norm = libm::sqrt(q.iter().map(|c| c * c).sum());
     if (norm - 1.0).abs() > NORM_TOLERANCE {
-        let (least, most) = (1.0 - NORM_TOLERANCE, 1.0 + NORM_TOLERANCE);
-        return Err(InputError::new(format!("must have a norm from {least} to {most}"))
+        let (minimum, maximum) = (1.0 - NORM_TOLERANCE, 1.0 + NORM_TOLERANCE);
+        return Err(InputError::new(format!("must have a norm from {minimum} to {maximum}"))
             .field("ref_qw, ref_qx, ref_qy, ref_qz")
             .value(format_args!("{}, {}, {}, {}", q[0], q[1], q[2], q[3])));
     }
@@ -384,7 +383,7 @@ mod tests {
     }
 
     #[test]
-    fn order_is_free_other_columns_are_ignored_and_optional_ones_may_be_absent() {
+    fn columns_may_be_reordered_added_and_left_out() {
         let log = read(
             "\u{feff}note, accel_z_m_s2,accel_y_m_s2,accel_x_m_s2,gyro_z_rad_s,gyro_y_rad_s,gyro_x_rad_s,time_s\r\n\
              \"a, b\",6,5,4,3,2,1,-1e-3\r\n",
@@ -397,14 +396,14 @@ mod tests {
     }
 
     #[test]
-    fn a_rounded_reference_is_normalized() {
+    fn rounded_reference_is_normalised() {
         let log = read(&with_rows(&["0,1,2,3,4,5,6,7,8,9,0.7071,0,0,-0.7071,0"])).unwrap();
         let [w, _, _, z] = log.rows[0].reference.unwrap();
         assert!((w * w + z * z - 1.0).abs() < 1e-15 && w == -z);
     }
 
     #[test]
-    fn axes_reach_the_rows() {
+    fn rows_are_converted_to_the_project_axes() {
         let text = with_rows(&["0,1,2,3,4,5,9.81,7,8,9,1,0,0,0,0"]);
         let axes = Axes { frame: Frame::Enu, accel_sign: AccelSign::Reaction };
         let row = LogReader::new(text.as_bytes(), "log.csv", axes).unwrap().next().unwrap().unwrap();
@@ -414,7 +413,7 @@ mod tests {
     }
 
     #[test]
-    fn every_kind_of_bad_log_is_one_line_with_its_place() {
+    fn every_bad_log_gives_one_line_with_its_position() {
         let good = "0,1,2,3,4,5,6,7,8,9,1,0,0,0,0";
         let without = |name: &str| HEADER.replace(&format!("{name},"), "");
         let number = "must be a number from -1000000 to 1000000";
@@ -440,7 +439,7 @@ mod tests {
             ),
             (
                 format!("{HEADER},time_s"),
-                "log.csv:1: time_s: the column must stand in the header once".into(),
+                "log.csv:1: time_s: the column must be in the header only once".into(),
             ),
             (
                 with_rows(&["0,NaN,2,3,4,5,6,7,8,9,1,0,0,0,0"]),
@@ -466,11 +465,11 @@ mod tests {
             ),
             (
                 with_rows(&["2.5,1,2,3,4,5,6,7,8,9,1,0,0,0,0", "2.4,1,2,3,4,5,6,7,8,9,1,0,0,0,0"]),
-                "log.csv:3: time_s = 2.4: must be at least 1 µs after the row before it (2.5 s)".into(),
+                "log.csv:3: time_s = 2.4: must be at least 1 µs after the previous row (2.5 s)".into(),
             ),
             (
                 with_rows(&[good, good]),
-                "log.csv:3: time_s = 0: must be at least 1 µs after the row before it (0 s)".into(),
+                "log.csv:3: time_s = 0: must be at least 1 µs after the previous row (0 s)".into(),
             ),
             (
                 with_rows(&["0,1,2,3,4,5,6,7,8,9,0,0,0,0,0"]),
@@ -490,7 +489,7 @@ mod tests {
     }
 
     #[test]
-    fn lines_are_counted_as_an_editor_counts_them() {
+    fn line_numbers_match_those_of_an_editor() {
         for text in [
             format!("{HEADER}\n\n\n0,1,2,3,4,5,6,7,8,9,1,0,0,0,x\n"),
             format!("{HEADER}\r\n\r\n\r\n0,1,2,3,4,5,6,7,8,9,1,0,0,0,x\r\n"),
@@ -510,7 +509,7 @@ mod tests {
     }
 
     #[test]
-    fn bytes_that_are_no_text_are_an_error_like_any_other() {
+    fn invalid_utf_8_is_an_error() {
         let mut bytes = with_rows(&["0,1,2,3,4,5,6,7,8,9,1,0,0,0,#"]).into_bytes();
         let place = bytes.iter().position(|&b| b == b'#').unwrap();
         bytes[place] = 0xff;
@@ -521,7 +520,7 @@ mod tests {
     }
 
     #[test]
-    fn a_file_that_cannot_be_read_is_named() {
+    fn unreadable_file_is_named() {
         let directory = tempfile::tempdir().unwrap();
         for path in [directory.path().join("none.csv"), directory.path().to_path_buf()] {
             let error = Log::read(&path, Axes::default()).unwrap_err().to_string();

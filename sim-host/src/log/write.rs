@@ -1,4 +1,4 @@
-//! Writing a log.
+//! Writes a log.
 
 use std::fmt::Write as _;
 use std::io::Write as _;
@@ -8,10 +8,10 @@ use super::{COLUMNS, LogRow};
 use crate::output_file::OutputFile;
 use input::InputError;
 
-/// Writes a log in the project's axes. The file appears with [`finish`](Self::finish).
+/// A writer of a log in the project's axes. The file appears when [`finish`](Self::finish) is called.
 ///
-/// A number is written with the fewest digits that read back as the same f64, the same way on every
-/// machine, so equal flights make equal files.
+/// A number is written with the fewest digits that read back as the same f64, in the same way on every machine. So
+/// equal flights give equal files.
 #[derive(Debug)]
 pub struct LogWriter {
     file: OutputFile,
@@ -19,12 +19,12 @@ pub struct LogWriter {
 }
 
 impl LogWriter {
-    /// Begins the log that will be `path`.
+    /// Starts the log file `path`.
     pub fn create(path: impl AsRef<Path>) -> Result<Self, InputError> {
         Self::create_with(path, &[])
     }
 
-    /// Begins a log with further columns after the common ones, which readers of logs ignore.
+    /// Starts a log file with further columns after the standard ones. [`LogReader`](super::LogReader) ignores them.
     pub fn create_with(path: impl AsRef<Path>, further: &[&str]) -> Result<Self, InputError> {
         let file = OutputFile::create(path)?;
         let mut writer = Self { file, line: COLUMNS.join(",") };
@@ -36,7 +36,7 @@ impl LogWriter {
         Ok(writer)
     }
 
-    /// Writes one row. What is `None` becomes empty cells.
+    /// Writes one row. `None` becomes empty cells.
     pub fn write(&mut self, row: &LogRow) -> Result<(), InputError> {
         self.write_with(row, &[])
     }
@@ -50,7 +50,7 @@ impl LogWriter {
         self.cells(row.reference);
         self.line.push(if row.moving { '1' } else { '0' });
         for x in further {
-            write!(self.line, ",{x}").expect("a String takes everything");
+            write!(self.line, ",{x}").expect("writing to a String does not fail");
         }
         self.end_line()
     }
@@ -61,7 +61,7 @@ impl LogWriter {
     }
 
     fn cell(&mut self, x: f64) {
-        write!(self.line, "{x},").expect("a String takes everything");
+        write!(self.line, "{x},").expect("writing to a String does not fail");
     }
 
     fn cells<const N: usize>(&mut self, values: Option<[f64; N]>) {
@@ -85,7 +85,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_written_reads_back_to_the_bit() {
+    fn written_rows_read_back_bit_for_bit() {
         let rows = [
             LogRow {
                 time_s: 0.1 + 0.2,
@@ -110,13 +110,13 @@ mod tests {
         for row in &rows {
             writer.write(row).unwrap();
         }
-        assert!(!path.exists(), "not before it is whole");
+        assert!(!path.exists(), "the file appears only when it is complete");
         writer.finish().unwrap();
         assert_eq!(Log::read(&path, Axes::default()).unwrap().rows, rows);
     }
 
     #[test]
-    fn the_file_is_the_same_on_every_machine() {
+    fn log_file_has_fixed_bytes() {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("log.csv");
         let mut writer = LogWriter::create(&path).unwrap();

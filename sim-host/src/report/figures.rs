@@ -1,4 +1,4 @@
-//! The figures of a report: what of a recorded flight is plotted, and how.
+//! The figures of a report: the plots of a recorded flight.
 
 use flight_core::arming::{Cause, Event};
 
@@ -10,25 +10,25 @@ use crate::scene::Scene;
 /// Width of a report's charts, px.
 const WIDTH: f64 = 920.0;
 
-/// What is true: broad and light, so that what is estimated can lie on it and both be seen.
+/// Line of the truth: wide and light, so that the estimate is visible on top of it.
 pub const TRUTH: Stroke = Stroke::solid(colour::SKY, 3.5);
-/// What is estimated.
+/// Line of an estimate.
 pub const ESTIMATE: Stroke = Stroke::solid(colour::VERMILLION, 1.3);
-/// What is noisy: a band under the truth.
+/// Line of noisy measurements, below the truth.
 const MEASURED: Stroke = Stroke::solid(colour::ORANGE, 2.0);
-/// What is true, over what is noisy.
+/// Line of the truth on top of noisy measurements.
 const TRUTH_ON_MEASURED: Stroke = Stroke::solid(colour::BLACK, 1.1);
-/// What the pilot wants.
+/// Line of a target.
 pub const TARGET: Stroke = Stroke::dashed(colour::BLACK, 1.3);
 
-/// A chart with a title and a sentence or two that say how to read it.
+/// A chart with a title and an explanation.
 pub(super) struct Figure {
     pub title: &'static str,
     pub caption: String,
     pub chart: Chart,
 }
 
-/// All figures that this flight has something to show in.
+/// Returns all figures for which this flight has data.
 pub(super) fn all(scene: &Scene, outcome: &Outcome, recorder: &Recorder) -> Vec<Figure> {
     let mut list = vec![attitude(recorder), estimate_error(recorder), rates(recorder)];
     if scene.pilot.is_some() {
@@ -38,13 +38,13 @@ pub(super) fn all(scene: &Scene, outcome: &Outcome, recorder: &Recorder) -> Vec<
         }
     }
     for figure in &mut list {
-        figure.chart.along = Some((0.0, outcome.flown_s()));
+        figure.chart.x_range = Some((0.0, outcome.flown_s()));
         figure.chart.marks = marks(outcome, recorder);
     }
     list
 }
 
-/// The events of a flight, and its crash.
+/// Returns the marks of the events of a flight and of its crash.
 pub fn marks(outcome: &Outcome, recorder: &Recorder) -> Vec<Mark> {
     let event = |&(time_s, event): &(f64, Event)| {
         let (label, colour) = if event.is_refusal() {
@@ -65,7 +65,7 @@ pub fn marks(outcome: &Outcome, recorder: &Recorder) -> Vec<Mark> {
     list
 }
 
-/// A line of a channel.
+/// Returns the line of a channel.
 pub fn line(recorder: &Recorder, channel: Channel, label: &str, stroke: Stroke) -> Line {
     Line::new(label, stroke, recorder.points(channel))
 }
@@ -76,20 +76,20 @@ fn chart(description: &str, panels: Vec<Panel>) -> Chart {
 
 fn attitude(recorder: &Recorder) -> Figure {
     let axis = |(k, title): (usize, &str)| {
-        // One legend is enough for three panels.
+        // Only the first of the three panels has a legend.
         let label = |text| if k == 0 { text } else { "" };
         let lines = vec![
             line(recorder, Channel::AttitudeTruth(k), label("truth"), TRUTH),
             line(recorder, Channel::AttitudeEstimate(k), label("estimate"), ESTIMATE),
         ];
-        Panel { least_span: 1.0, ..Panel::new(title, "°", 110.0, lines) }
+        Panel { min_span: 1.0, ..Panel::new(title, "°", 110.0, lines) }
     };
     let panels = [(0, "Roll"), (1, "Pitch"), (2, "Yaw")].map(axis);
     Figure {
         title: "Attitude",
         caption:
-            "The attitude that the flight code estimates, over the true one. Positive: right side down, \
-                  nose up, clockwise from north."
+            "The attitude estimated by the flight code, on top of the true attitude. Positive angles: right side \
+                  down, nose up, clockwise from north."
                 .into(),
         chart: chart("Roll, pitch and yaw over time: truth and estimate", panels.into()),
     }
@@ -98,13 +98,13 @@ fn attitude(recorder: &Recorder) -> Figure {
 fn estimate_error(recorder: &Recorder) -> Figure {
     let error = |title: &str, channel, colour| {
         let lines = vec![line(recorder, channel, "", Stroke::solid(colour, 1.4))];
-        Panel { covers: vec![0.0], least_span: 0.05, ..Panel::new(title, "°", 90.0, lines) }
+        Panel { includes: vec![0.0], min_span: 0.05, ..Panel::new(title, "°", 90.0, lines) }
     };
     Figure {
-        title: "Error of the estimate",
+        title: "Attitude error",
         caption:
-            "The rotation from the true to the estimated attitude, split into a turn about the vertical \
-                  (heading, from the magnetometer) and a turn about a level axis (inclination, from the \
+            "The rotation from the true to the estimated attitude, split into a rotation about the vertical \
+                  (heading, from the magnetometer) and a rotation about a horizontal axis (inclination, from the \
                   accelerometer)."
                 .into(),
         chart: chart(
@@ -124,20 +124,21 @@ fn rates(recorder: &Recorder) -> Figure {
             line(recorder, Channel::RateFiltered(k), label("filtered"), MEASURED),
             line(recorder, Channel::RateTruth(k), label("truth"), TRUTH_ON_MEASURED),
         ];
-        Panel { least_span: 1.0, ..Panel::new(title, "°/s", 100.0, lines) }
+        Panel { min_span: 1.0, ..Panel::new(title, "°/s", 100.0, lines) }
     };
     let panels = [(0, "Roll rate"), (1, "Pitch rate"), (2, "Yaw rate")].map(axis);
     Figure {
         title: "Body rates",
-        caption: "The true body rates, and what the rate controller is given: gyroscope counts after \
-                  calibration, prefilter and gyro zero."
-            .into(),
+        caption:
+            "The true body rates, and the input of the rate controller: gyroscope samples after calibration, \
+                  prefilter and gyro zero."
+                .into(),
         chart: chart("Body rates over time: truth and filtered", panels.into()),
     }
 }
 
 fn motors(scene: &Scene, recorder: &Recorder) -> Figure {
-    // The ESC's map: the true speed is drawn as the pulse that would hold it.
+    // The plot shows the true speed as the pulse that would hold it, by the ESC's linear map.
     let esc = scene.config.params.esc;
     let (stop_us, full_us) = (f64::from(esc.stop_us), f64::from(esc.full_us));
     let us_per_rad_s = (full_us - stop_us) / scene.vehicle.max_rad_s;
@@ -151,7 +152,7 @@ fn motors(scene: &Scene, recorder: &Recorder) -> Figure {
         let pulse = line(recorder, Channel::Pulse(k), label("ESC pulse"), Stroke::solid(colour::ORANGE, 1.0));
         let right = RightAxis { unit: "rad/s", zero: -stop_us / us_per_rad_s, per_unit: 1.0 / us_per_rad_s };
         Panel {
-            covers: vec![stop_us, full_us],
+            includes: vec![stop_us, full_us],
             right: Some(right),
             ..Panel::new(title, "µs", 84.0, vec![pulse, speed])
         }
@@ -177,18 +178,18 @@ fn place(recorder: &Recorder) -> Figure {
         line(recorder, Channel::East, "east", Stroke::solid(colour::ORANGE, 1.6)),
     ];
     Figure {
-        title: "Height and place",
-        caption: "Where the vehicle is, and where the pilot wants it. The pilot sees it a fifth of a second \
-                  late."
-            .into(),
+        title: "Height and position",
+        caption:
+            "The true position and the pilot's target. The pilot sees the vehicle with a delay of 0.2 s."
+                .into(),
         chart: chart(
             "Height, and distance north and east of the pilot's target, over time",
             vec![
                 Panel::new("Height above the start", "m", 150.0, height),
                 Panel {
-                    covers: vec![0.0],
-                    least_span: 0.1,
-                    ..Panel::new("From the target", "m", 110.0, place)
+                    includes: vec![0.0],
+                    min_span: 0.1,
+                    ..Panel::new("Distance from the target", "m", 110.0, place)
                 },
             ],
         ),

@@ -1,4 +1,4 @@
-//! The HTML around the figures.
+//! The HTML of the page around the figures.
 
 use flight_core::ArmState;
 use flight_core::estimator::EstimatorParams;
@@ -12,7 +12,7 @@ use crate::flight::Outcome;
 use crate::pilot::{Base, FRAME_RATE_HZ, PilotScript, Plan};
 use crate::scene::{DEFAULT_RATE_HZ, MAG_RATE_HZ, Scene};
 
-/// A whole page, which loads and runs nothing. `style` is CSS that only this page has.
+/// Returns a complete page, which loads nothing and runs no scripts. `style` is additional CSS of this page.
 pub fn document(title: &str, style: &str, content: &Markup) -> String {
     html! {
         (DOCTYPE)
@@ -32,7 +32,7 @@ pub fn document(title: &str, style: &str, content: &Markup) -> String {
     .into_string()
 }
 
-/// A chart under its title and what is to be seen in it.
+/// Returns a figure: title, caption and chart.
 pub fn figure(title: &str, caption: &Markup, chart: &Chart) -> Markup {
     html! {
         figure {
@@ -43,7 +43,7 @@ pub fn figure(title: &str, caption: &Markup, chart: &Chart) -> Markup {
     }
 }
 
-/// The page of a flight of `scene` with `seed`.
+/// Returns the page of a flight of `scene` with `seed`.
 pub fn page(scene: &Scene, seed: u64, outcome: &Outcome, recorder: &Recorder) -> String {
     let name = printable(&scene.name);
     let content = html! {
@@ -58,7 +58,7 @@ pub fn page(scene: &Scene, seed: u64, outcome: &Outcome, recorder: &Recorder) ->
     document(&format!("{name} · seed {seed}"), "", &content)
 }
 
-/// Text from a file without the control characters that HTML does not take.
+/// Replaces control characters in text from a file, because they are invalid in HTML.
 pub fn printable(text: &str) -> String {
     text.replace(['\n', '\t'], " ").replace(char::is_control, "\u{FFFD}")
 }
@@ -107,12 +107,12 @@ fn cards(scene: &Scene, outcome: &Outcome) -> Markup {
         dl.cards {
             (card("Attitude error, RMS", &degrees(outcome.attitude_rmse_deg), &parts))
             (card("Worst tilt error", &degrees(outcome.tilt_error_max_deg), &note("of the estimate")))
-            (card("Worst tilt", &number(outcome.tilt_max_deg, 1, "°"), &note("of the vehicle, in truth")))
+            (card("Worst tilt", &number(outcome.tilt_max_deg, 1, "°"), &note("true tilt of the vehicle")))
             @if scene.pilot.is_some() && !scene.ball_joint {
                 (card(
-                    "Furthest from target",
+                    "Largest distance from the target",
                     &number(outcome.position_error_max_m, 2, " m"),
-                    &note("while airborne, in truth"),
+                    &note("true distance while airborne"),
                 ))
             }
             (card("State at the end", outcome.final_state.name(), &note(state)))
@@ -135,7 +135,7 @@ fn simulated(scene: &Scene, seed: u64) -> Markup {
         (format!("{:.2}", v.max_thrust_n() / (v.mass_kg * GRAVITY))) "; "
         @if scene.ball_joint { "on a ball joint" } @else { "free, above level ground" }
     };
-    let pilot = scene.pilot.as_ref().map_or("nobody flies".into(), |p| pilot_text(p, scene.duration_s));
+    let pilot = scene.pilot.as_ref().map_or("none".into(), |p| pilot_text(p, scene.duration_s));
     let rates = html! {
         "gyroscope and accelerometer " (DEFAULT_RATE_HZ) " Hz, magnetometer " (MAG_RATE_HZ) " Hz"
         @if scene.pilot.is_some() { ", receiver " (FRAME_RATE_HZ) " Hz" }
@@ -144,12 +144,12 @@ fn simulated(scene: &Scene, seed: u64) -> Markup {
         @if scene.effects().is_empty() { "none" }
         @for name in scene.effects() { code { (name) } " " }
     };
-    let (_, drawn) = scene.of_run(seed);
+    let (_, drawn) = scene.for_run(seed);
     let drawn_list = html! {
         @for (name, value) in &drawn { code { (name) } " " (format!("{value:.4e}")) br; }
     };
     html! {
-        h2 { "What was simulated" }
+        h2 { "Simulation" }
         table {
             (row("Vehicle", &vehicle))
             (row("Pilot", &html! { (pilot) }))
@@ -185,7 +185,8 @@ fn estimator_text(scene: &Scene) -> Markup {
     let same = |(_, preset): &(&str, EstimatorParams)| {
         EstimatorParams { declination_rad: params.estimator.declination_rad, ..*preset } == params.estimator
     };
-    let name = EstimatorParams::PRESETS.iter().find(|preset| same(preset)).map_or("own", |(name, _)| *name);
+    let name =
+        EstimatorParams::PRESETS.iter().find(|preset| same(preset)).map_or("custom", |(name, _)| *name);
     let settings: Vec<String> = { params.estimator }
         .settings()
         .filter(|setting| setting.name != "estimator.declination_rad")
@@ -200,7 +201,7 @@ fn estimator_text(scene: &Scene) -> Markup {
     }
 }
 
-/// `tilt_tau_s` as "tilt τ = 5 s", `alpha` as "α = 0.97".
+/// Formats a setting: `tilt_tau_s` as "tilt τ = 5 s", `alpha` as "α = 0.97".
 fn setting_text(name: &str, value: f32) -> String {
     let (name, unit) = name.strip_suffix("_s").map_or((name, ""), |name| (name, " s"));
     let symbols = name.replace("tau", "τ").replace("alpha", "α").replace('_', " ");
@@ -212,17 +213,18 @@ fn footer(scene: &Scene, recorder: &Recorder) -> Markup {
         footer {
             @if recorder.further_events() > 0 { (recorder.further_events()) " more events are not marked. " }
             @if scene.pilot.is_none() {
-                "Nobody flies: motors and place stand still and are not shown. "
+                "The scene has no pilot, so motors and position do not change and are not shown. "
             } @else if scene.ball_joint {
-                "The stand holds the centre of gravity: place is not shown. "
+                "The test stand holds the centre of gravity, so the position is not shown. "
             }
-            "Of each hundredth of a second, or each pixel where that is longer, the lowest and the highest value are \
-             drawn: no peak is lost. The same scene and seed give the same page, to the byte."
+            "The plots show the lowest and the highest value of each interval of 0.01 s, or of each pixel if it is \
+             longer, so no peak is lost. The same scene and seed give the same page, byte for byte."
         }
     }
 }
 
-/// At most so many digits after the point, without zeros at the end; what is not a number is said in words.
+/// Formats a number with at most `digits` digits after the point, without trailing zeros. A number that is not finite
+/// becomes the words "not finite".
 fn number(value: f64, digits: usize, unit: &str) -> String {
     if !value.is_finite() {
         return "not finite".into();
@@ -232,7 +234,7 @@ fn number(value: f64, digits: usize, unit: &str) -> String {
     format!("{}{unit}", shown.replace('-', "\u{2212}"))
 }
 
-/// With a comma before every three digits.
+/// Formats a number with a comma before every three digits.
 fn grouped(count: u64) -> String {
     let digits = count.to_string();
     let mut out = String::new();

@@ -1,4 +1,4 @@
-//! Watches a flight and keeps what a report shows of it.
+//! Records a flight for its report.
 
 use flight_core::arming::Event;
 use flight_core::geometry::{Quaternion, Vec3};
@@ -7,7 +7,7 @@ use super::trace::Trace;
 use crate::attitude_error::AttitudeError;
 use crate::flight::{Observer, StepView};
 
-/// A number that is recorded.
+/// A recorded quantity.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Channel {
     /// True roll, pitch, yaw (0 to 2), degrees, without jumps at ±180.
@@ -18,13 +18,13 @@ pub enum Channel {
     HeadingError,
     /// Error of the estimated tilt, degrees.
     InclinationError,
-    /// Angle between the body's down and the world's, degrees.
+    /// True tilt, degrees.
     TiltTruth,
-    /// The same as estimated, degrees.
+    /// Estimated tilt, degrees.
     TiltEstimate,
     /// True body rate about x, y, z (0 to 2), °/s.
     RateTruth(usize),
-    /// The same as the controller sees it, after prefilter and gyro zero, °/s.
+    /// Body rate about x, y, z (0 to 2) after prefilter and gyro zero, as the rate controller gets it, °/s.
     RateFiltered(usize),
     /// ESC pulse of rotors 1 to 4 (0 to 3), µs.
     Pulse(usize),
@@ -32,11 +32,11 @@ pub enum Channel {
     Rotor(usize),
     /// Height above the start, m.
     Height,
-    /// The height that the pilot wants, not below the start, m.
+    /// Height of the pilot's target above the start, at least 0, m.
     HeightTarget,
-    /// North of the pilot's target, m; without a pilot, of the start.
+    /// Distance north of the pilot's target, m; without a pilot, of the start.
     North,
-    /// East of the same, m.
+    /// Distance east of the pilot's target, m; without a pilot, of the start.
     East,
 }
 
@@ -63,39 +63,39 @@ impl Channel {
     }
 }
 
-/// More events than this are only counted.
+/// Maximum number of recorded events; further events are only counted.
 const MAX_EVENTS: usize = 24;
 
-/// An observer that records a flight for its report, in less than 5 MB however long the flight is.
+/// An observer that records a flight for its report, in less than 5 MB for any duration.
 #[derive(Clone, Debug, Default)]
 pub struct Recorder {
     trace: Trace<CHANNELS>,
-    /// Place at the first step; `None` before.
+    /// Position at the first step; `None` before it.
     home: Option<Vec3<f64>>,
-    /// The last true roll, pitch, yaw, degrees.
+    /// True roll, pitch, yaw of the previous step, degrees.
     attitude_deg: [f64; 3],
     events: Vec<(f64, Event)>,
     further_events: usize,
 }
 
 impl Recorder {
-    /// Before the first step of a flight.
+    /// Creates a recorder for a flight.
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// Time, s, and value of everything that a plot of this channel can show: of each stretch of time the
-    /// lowest and the highest value. A value that is not finite is a gap.
+    /// Returns times, s, and values of a channel for a plot: the lowest and the highest value of each interval. A value
+    /// that is not finite is a gap.
     pub fn points(&self, channel: Channel) -> Vec<(f64, f64)> {
         self.trace.points(channel.index())
     }
 
-    /// When, s, and what happened to the arm state.
+    /// Returns the recorded events of the arm state, with times, s.
     pub fn events(&self) -> &[(f64, Event)] {
         &self.events
     }
 
-    /// Events beyond those.
+    /// Returns the number of events that were not recorded.
     pub fn further_events(&self) -> usize {
         self.further_events
     }
@@ -125,7 +125,7 @@ impl Observer for Recorder {
         let mut row = [f64::NAN; CHANNELS];
         let mut set = |channel: Channel, value: f64| row[channel.index()] = value;
         let rates_true = <[f64; 3]>::from(truth.rates);
-        // A gap where the autopilot does not tell.
+        // A gap if the autopilot does not report its rates.
         let rates_filtered =
             view.output.rates_rad_s.map_or([f64::NAN; 3], |rates| <[f32; 3]>::from(rates).map(f64::from));
         for axis in 0..3 {
@@ -144,7 +144,7 @@ impl Observer for Recorder {
         set(Channel::TiltEstimate, tilt_deg(view.estimate));
         set(Channel::Height, home.z - truth.position.z);
         if let Some(target) = view.target_m {
-            // A pilot who lands aims below the ground, to settle on it.
+            // During a landing the target is below the ground, so that the vehicle settles on it.
             set(Channel::HeightTarget, (home.z - target.z).max(0.0));
         }
         set(Channel::North, place.x);
@@ -153,7 +153,7 @@ impl Observer for Recorder {
     }
 }
 
-/// Roll, pitch and yaw, degrees.
+/// Returns roll, pitch and yaw, degrees.
 fn roll_pitch_yaw_deg(attitude: Quaternion<f64>) -> [f64; 3] {
     let m = attitude.to_matrix();
     let cos_pitch = libm::sqrt(m[2].y * m[2].y + m[2].z * m[2].z);
@@ -166,8 +166,8 @@ fn tilt_deg(attitude: Quaternion<f64>) -> f64 {
     libm::atan2(libm::sqrt(down.x * down.x + down.y * down.y), down.z).to_degrees()
 }
 
-/// The same angles, each by as many turns more or less that it is within half a turn of `near`, degrees: a
-/// line of them does not jump at ±180°.
+/// Adds whole turns to each angle, so that it is within half a turn of `near`, degrees. A line of such angles does not
+/// jump at ±180°.
 fn nearest_turn(angles: [f64; 3], near: [f64; 3]) -> [f64; 3] {
     std::array::from_fn(|k| angles[k] + 360.0 * libm::rint((near[k] - angles[k]) / 360.0))
 }
@@ -181,7 +181,7 @@ mod tests {
     use crate::scene::Scene;
 
     #[test]
-    fn every_channel_has_a_place_of_its_own() {
+    fn every_channel_has_a_unique_index() {
         let three = (0..3).flat_map(|k| {
             [
                 Channel::AttitudeTruth(k),
@@ -207,7 +207,7 @@ mod tests {
     }
 
     #[test]
-    fn angles_go_on_past_half_a_turn() {
+    fn angles_are_continuous_past_half_a_turn() {
         let mut near = [0.0; 3];
         for k in 0..800 {
             let heading = f64::from(k);
@@ -219,7 +219,7 @@ mod tests {
     }
 
     #[test]
-    fn records_what_the_flight_is_judged_on() {
+    fn recorded_extremes_match_the_outcome() {
         let scene = Scene::load("hover").unwrap();
         let mut recorder = Recorder::new();
         let outcome = Flight::new(&scene, 3).run(&mut recorder);

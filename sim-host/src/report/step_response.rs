@@ -1,4 +1,4 @@
-//! The page of proposed gains: how the vehicle answers a step of the stick, in truth.
+//! The page of proposed gains: the true response of the vehicle to a step of the stick.
 
 use std::path::Path;
 
@@ -12,28 +12,29 @@ use crate::chart::{Chart, Line, Panel, Stroke, colour};
 use crate::flight::{Observer, StepView};
 use crate::output_file;
 
-/// The step of the scene `steps`: when the roll stick moves, when it moves back, s, and how far, as a share of full stick.
+/// Start and end of the roll step in the scene `steps`, s.
 const STEP_S: (f64, f64) = (14.0, 14.7);
-/// 0.6667 of full stick.
-pub const STEP_SHARE: f64 = 0.6667;
-/// Shown before the step, s.
+/// Size of the roll step in the scene `steps`, as a share of full stick.
+pub const STEP_STICK_SHARE: f64 = 0.6667;
+/// Time shown before the step, s.
 const BEFORE_S: f64 = 0.1;
-/// A step's answer has settled when it stays within this share of what was asked for.
+/// The response has settled when it stays within this share of the commanded step.
 const SETTLED: f64 = 0.05;
-/// Steps of the flight from one point of the plot to the next.
-const THINNED: u64 = 2;
+/// Number of steps of the flight per point of the plot.
+const STEPS_PER_POINT: u64 = 2;
 
-/// What is seen of the answer: time after the step (s), true roll (rad) and its rate (rad/s), rotor speeds (rad/s).
+/// An observer that records the step response: time after the step (s), true roll (rad), true roll rate (rad/s), rotor
+/// speeds (rad/s).
 #[derive(Clone, Debug, Default)]
 pub struct StepResponse {
     points: Vec<(f64, f64, f64, [f64; 4])>,
-    largest_tilt_rad: f64,
+    max_tilt_rad: f64,
 }
 
 impl Observer for StepResponse {
     fn step(&mut self, view: &StepView) {
         let truth = view.truth;
-        self.largest_tilt_rad = self.largest_tilt_rad.max(libm::acos(truth.cos_tilt().clamp(-1.0, 1.0)));
+        self.max_tilt_rad = self.max_tilt_rad.max(libm::acos(truth.cos_tilt().clamp(-1.0, 1.0)));
         let after_s = view.time_us as f64 * 1e-6 - STEP_S.0;
         if after_s >= -BEFORE_S && after_s <= STEP_S.1 - STEP_S.0 {
             let Vec3 { y, z, .. } = truth.attitude.down();
@@ -42,50 +43,50 @@ impl Observer for StepResponse {
     }
 }
 
-/// Figures of the answer.
+/// Metrics of a step response.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Answered {
-    /// From a tenth to nine tenths of what was asked for, s; none if it did not get there.
+pub struct StepMetrics {
+    /// Rise time from 10 % to 90 % of the commanded step, s; `None` if it was not reached.
     pub rise_s: Option<f64>,
-    /// Beyond what was asked for, as a share of it.
+    /// Overshoot, as a share of the commanded step.
     pub overshoot: f64,
-    /// From the step until it stays within 5 %, s; none if it has not when the stick moves back.
+    /// Settling time to within 5 %, s; `None` if it was not reached before the stick moved back.
     pub settled_s: Option<f64>,
 }
 
 impl StepResponse {
-    /// The largest tilt of the whole flight, rad.
-    pub fn largest_tilt_rad(&self) -> f64 {
-        self.largest_tilt_rad
+    /// Returns the largest tilt of the whole flight, rad.
+    pub fn max_tilt_rad(&self) -> f64 {
+        self.max_tilt_rad
     }
 
-    /// What came of a step to `asked_rad`.
-    pub fn answered(&self, asked_rad: f64) -> Answered {
-        let share = |roll_rad: f64| roll_rad / asked_rad;
+    /// Returns the metrics of the response to a step to `step_rad`.
+    pub fn metrics(&self, step_rad: f64) -> StepMetrics {
+        let share = |roll_rad: f64| roll_rad / step_rad;
         let first =
             |level: f64| self.points.iter().find(|point| share(point.1) >= level).map(|point| point.0);
         let largest = self.points.iter().map(|point| share(point.1)).fold(0.0, f64::max);
         let outside = self.points.iter().rposition(|point| (share(point.1) - 1.0).abs() > SETTLED);
         let after = outside.map_or(0, |last| last + 1);
-        Answered {
+        StepMetrics {
             rise_s: first(0.9).zip(first(0.1)).map(|(high_s, low_s)| high_s - low_s),
             overshoot: (largest - 1.0).max(0.0),
             settled_s: self.points.get(after).map(|point| point.0),
         }
     }
 
-    fn chart(&self, asked_rad: f64, rotor_limits_rad_s: (f64, f64)) -> Chart {
-        let seen = || self.points.iter().step_by(THINNED as usize);
+    fn chart(&self, step_rad: f64, rotor_limits_rad_s: (f64, f64)) -> Chart {
+        let sampled = || self.points.iter().step_by(STEPS_PER_POINT as usize);
         let end_s = STEP_S.1 - STEP_S.0;
-        let asked_deg = asked_rad.to_degrees();
-        let asked = vec![(-BEFORE_S, 0.0), (0.0, 0.0), (0.0, asked_deg), (end_s, asked_deg)];
-        let roll = seen().map(|point| (point.0, point.1.to_degrees())).collect();
-        let rate = seen().map(|point| (point.0, point.2.to_degrees())).collect();
+        let commanded_deg = step_rad.to_degrees();
+        let commanded = vec![(-BEFORE_S, 0.0), (0.0, 0.0), (0.0, commanded_deg), (end_s, commanded_deg)];
+        let roll = sampled().map(|point| (point.0, point.1.to_degrees())).collect();
+        let rate = sampled().map(|point| (point.0, point.2.to_degrees())).collect();
         let colours = [colour::SKY, colour::VERMILLION, colour::GREEN, colour::ORANGE];
         let places = ["front left", "front right", "rear right", "rear left"];
         let mut rotors: Vec<Line> = (0..4)
             .map(|n| {
-                let speed = seen().map(|point| (point.0, point.3[n])).collect();
+                let speed = sampled().map(|point| (point.0, point.3[n])).collect();
                 Line::new(places[n], Stroke::solid(colours[n], 1.5), speed)
             })
             .collect();
@@ -93,59 +94,59 @@ impl StepResponse {
         for limit in [slowest, fastest] {
             rotors.push(Line::new("", TARGET, vec![(-BEFORE_S, limit), (end_s, limit)]));
         }
-        let roll = vec![Line::new("true", TRUTH, roll), Line::new("stick", TARGET, asked)];
-        let rate = vec![Line::new("true", TRUTH, rate)];
+        let roll = vec![Line::new("truth", TRUTH, roll), Line::new("stick", TARGET, commanded)];
+        let rate = vec![Line::new("truth", TRUTH, rate)];
         Chart::over_time(
             920.0,
-            "Roll, its rate and the rotors' speeds after a step of the stick",
+            "Roll, roll rate and rotor speeds after a step of the roll stick",
             (-BEFORE_S, end_s),
             vec![
-                Panel::new("roll", "°", 240.0, roll),
-                Panel::new("rate", "°/s", 160.0, rate),
-                Panel::new("rotors, and their limits", "rad/s", 180.0, rotors),
+                Panel::new("Roll", "°", 240.0, roll),
+                Panel::new("Roll rate", "°/s", 160.0, rate),
+                Panel::new("Rotor speeds and their limits", "rad/s", 180.0, rotors),
             ],
         )
     }
 }
 
-/// What the page says of a vehicle.
+/// The content of the page.
 #[derive(Clone, Debug)]
 pub struct Proposal<'a> {
     /// The vehicle's name.
     pub vehicle: &'a str,
-    /// The step, rad.
-    pub asked_rad: f64,
+    /// The commanded step, rad.
+    pub step_rad: f64,
     /// Slowest and fastest speed of a rotor, rad/s.
     pub rotor_limits_rad_s: (f64, f64),
-    /// The gains, as they go into the vehicle's file.
+    /// The gains, in the format of the vehicle's file.
     pub gains: &'a str,
     /// Name, crossover (Hz) and phase margin (°) of each loop.
     pub loops: &'a [(String, f64, f64)],
 }
 
-/// The page.
+/// Returns the page.
 pub fn page(proposal: &Proposal<'_>, response: &StepResponse) -> String {
     let vehicle = printable(proposal.vehicle);
-    let Answered { rise_s, overshoot, settled_s } = response.answered(proposal.asked_rad);
+    let StepMetrics { rise_s, overshoot, settled_s } = response.metrics(proposal.step_rad);
     let time =
         |time_s: Option<f64>| time_s.map_or("not reached".into(), |time_s| format!("{:.0} ms", time_s * 1e3));
-    let step = format!("A step of {:.0}°", proposal.asked_rad.to_degrees());
+    let step = format!("A step of {:.0}°", proposal.step_rad.to_degrees());
     let caption = html! {
-        "From a tenth to nine tenths " (time(rise_s)) "; overshoot " (format!("{:.0}", overshoot * 100.0))
-        " %; within 5 % after " (time(settled_s)) "."
+        "Rise time (10 % to 90 %): " (time(rise_s)) "; overshoot: " (format!("{:.0}", overshoot * 100.0))
+        " %; settling time (5 %): " (time(settled_s)) "."
     };
     let content = html! {
         header {
             p.kind { "Kestrel · proposed gains" }
             h1 { (vehicle) }
             p.about {
-                "A step of the roll stick in free flight, with the sensors' noise, the rotors' lag and the drag of the \
-                 scene " code { "steps" } ". What is shown is the truth."
+                "A step of the roll stick in free flight, with the sensor noise, the motor lag and the drag of the \
+                 scene " code { "steps" } ". The plots show the truth."
             }
         }
-        (figure(&step, &caption, &response.chart(proposal.asked_rad, proposal.rotor_limits_rad_s)))
+        (figure(&step, &caption, &response.chart(proposal.step_rad, proposal.rotor_limits_rad_s)))
         section {
-            h2 { "Loops" }
+            h2 { "Control loops" }
             table {
                 tr { th { "loop" } th { "crossover, Hz" } th { "phase margin" } }
                 @for (name, crossover_hz, margin_deg) in proposal.loops {
@@ -158,17 +159,17 @@ pub fn page(proposal: &Proposal<'_>, response: &StepResponse) -> String {
             }
         }
         section {
-            h2 { "For the vehicle's file" }
+            h2 { "Gains for the vehicle's file" }
             pre { (proposal.gains) }
         }
     };
     document(&format!("Gains for {vehicle}"), "", &content)
 }
 
-/// Writes the page: complete, or not at all.
+/// Writes the page. The file is complete or does not exist.
 ///
 /// # Errors
-/// A place that cannot be written.
+/// The file cannot be written.
 pub fn write(path: &Path, proposal: &Proposal<'_>, response: &StepResponse) -> Result<(), InputError> {
     output_file::write(path, &page(proposal, response))
 }
@@ -177,9 +178,9 @@ pub fn write(path: &Path, proposal: &Proposal<'_>, response: &StepResponse) -> R
 mod tests {
     use super::*;
 
-    /// A second-order system, whose figures are in every textbook: ζ = 0.5 overshoots by exp(−π ζ/√(1 − ζ²)) = 16.3 %.
+    /// The closed form of a second-order system: for ζ = 0.5 the overshoot is exp(−π ζ/√(1 − ζ²)) = 16.3 %.
     #[test]
-    fn figures_of_a_second_order_step() {
+    fn metrics_of_a_second_order_step() {
         let (zeta, natural) = (0.5_f64, 40.0_f64);
         let damped = natural * libm::sqrt(1.0 - zeta * zeta);
         let roll = |t: f64| {
@@ -188,14 +189,13 @@ mod tests {
         };
         let points =
             (0..700).map(|ms| (f64::from(ms) * 1e-3, 0.5 * roll(f64::from(ms) * 1e-3), 0.0, [0.0; 4]));
-        let response = StepResponse { points: points.collect(), largest_tilt_rad: 0.0 };
-        let answered = response.answered(0.5);
-        assert!((answered.overshoot - 0.163).abs() < 1e-3, "{answered:?}");
-        // 1.64/ω for ζ = 0.5 (10 to 90 %), and the last time within 5 % at 5.29/ω.
-        assert!((answered.rise_s.unwrap() - 1.64 / natural).abs() < 2e-3, "{answered:?}");
-        assert!((answered.settled_s.unwrap() - 5.29 / natural).abs() < 3e-3, "{answered:?}");
-        let never =
-            StepResponse { points: vec![(0.0, 0.0, 0.0, [0.0; 4])], largest_tilt_rad: 0.0 }.answered(0.5);
+        let response = StepResponse { points: points.collect(), max_tilt_rad: 0.0 };
+        let metrics = response.metrics(0.5);
+        assert!((metrics.overshoot - 0.163).abs() < 1e-3, "{metrics:?}");
+        // For ζ = 0.5 the rise time (10 % to 90 %) is 1.64/ω, and the settling time to 5 % is 5.29/ω.
+        assert!((metrics.rise_s.unwrap() - 1.64 / natural).abs() < 2e-3, "{metrics:?}");
+        assert!((metrics.settled_s.unwrap() - 5.29 / natural).abs() < 3e-3, "{metrics:?}");
+        let never = StepResponse { points: vec![(0.0, 0.0, 0.0, [0.0; 4])], max_tilt_rad: 0.0 }.metrics(0.5);
         assert_eq!((never.rise_s, never.settled_s), (None, None));
     }
 }

@@ -17,7 +17,7 @@ fn hover() -> Scene {
     Scene::load("hover").unwrap()
 }
 
-/// Every element that is opened is closed, in order, and no bare `<` or `&` stands in the text.
+/// Asserts that every element is closed in order, and that the text contains no unescaped `<` or `&`.
 fn assert_well_formed(html: &str) {
     let (_, body) = html.split_once("</style>").unwrap();
     let mut open = vec!["html", "head"];
@@ -40,7 +40,7 @@ fn assert_well_formed(html: &str) {
 }
 
 #[test]
-fn every_scene_has_a_whole_page_that_asks_for_nothing() {
+fn page_of_every_scene_is_well_formed_and_self_contained() {
     for built_in in BUILT_IN {
         let scene = Scene::load(built_in.name).unwrap();
         let html = page_of(&scene);
@@ -56,7 +56,7 @@ fn every_scene_has_a_whole_page_that_asks_for_nothing() {
 }
 
 #[test]
-fn the_same_scene_and_seed_give_the_same_bytes() {
+fn same_scene_and_seed_give_the_same_bytes() {
     let mut scene = hover();
     let first = page_of(&scene);
     assert_eq!(first, page_of(&scene));
@@ -65,7 +65,7 @@ fn the_same_scene_and_seed_give_the_same_bytes() {
 }
 
 #[test]
-fn what_a_scene_file_says_is_text_and_nothing_else() {
+fn text_of_a_scene_file_is_escaped() {
     let hostile = "</title><script>alert(1)</script>\" onload='x' &lt;";
     let mut scene = hover();
     scene.name = hostile.into();
@@ -77,20 +77,20 @@ fn what_a_scene_file_says_is_text_and_nothing_else() {
 }
 
 #[test]
-fn figures_with_nothing_to_show_are_left_out() {
+fn figures_without_data_are_left_out() {
     let titles = |name: &str| -> Vec<&str> {
         let scene = Scene::load(name).unwrap();
         let (outcome, recorder) = fly(&scene);
         figures::all(&scene, &outcome, &recorder).iter().map(|figure| figure.title).collect()
     };
-    let all = ["Attitude", "Error of the estimate", "Body rates", "Motors", "Height and place"];
+    let all = ["Attitude", "Attitude error", "Body rates", "Motors", "Height and position"];
     assert_eq!(titles("hover"), all);
     assert_eq!(titles("stand-steps"), all[..4]);
     assert_eq!(titles("static"), all[..3]);
 }
 
 #[test]
-fn a_crash_is_said_and_marked() {
+fn crash_is_named_and_marked() {
     let scene = hover();
     let (mut outcome, recorder) = fly(&scene);
     assert!(page(&scene, 7, &outcome, &recorder).contains("flown to the end"));
@@ -101,7 +101,7 @@ fn a_crash_is_said_and_marked() {
 }
 
 #[test]
-fn an_outcome_that_is_not_finite_is_said_in_words() {
+fn non_finite_outcome_is_shown_in_words() {
     let scene = hover();
     let (outcome, recorder) = fly(&scene);
     let outcome = Outcome { attitude_rmse_deg: f64::NAN, position_error_max_m: f64::INFINITY, ..outcome };
@@ -111,7 +111,7 @@ fn an_outcome_that_is_not_finite_is_said_in_words() {
 }
 
 #[test]
-fn the_file_is_the_page() {
+fn report_file_contains_the_page() {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("report.html");
     let scene = hover();

@@ -1,11 +1,11 @@
-//! A record of several numbers over time in bounded memory.
+//! Stores several quantities over time in bounded memory.
 
-/// Steps that go into a bucket at first: 100 buckets a second at 1 kHz.
+/// Initial number of steps per bucket: 100 buckets per second at 1 kHz.
 const FIRST_STEPS: u32 = 10;
-/// When there are this many buckets, each two become one.
+/// Maximum number of buckets. At this number each two are merged into one.
 pub(super) const MAX_BUCKETS: usize = 4096;
 
-/// What a number did during a bucket.
+/// Lowest and highest value in a bucket, with their times, s.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Extremes {
     low: (f64, f64),
@@ -21,11 +21,11 @@ impl Extremes {
     }
 }
 
-/// `N` numbers over time. Of every bucket of steps the lowest and the highest value of each number are kept,
-/// with their times; buckets grow so that there are never more than [`MAX_BUCKETS`].
+/// `N` quantities over time. Each bucket of steps keeps the lowest and the highest value of each quantity, with their
+/// times. Buckets grow so that there are never more than [`MAX_BUCKETS`].
 #[derive(Clone, Debug)]
 pub(super) struct Trace<const N: usize> {
-    /// `None` where no value was finite.
+    /// The buckets; `None` if no value was finite.
     buckets: Vec<[Option<Extremes>; N]>,
     steps_per_bucket: u32,
     steps_in_last: u32,
@@ -38,7 +38,7 @@ impl<const N: usize> Default for Trace<N> {
 }
 
 impl<const N: usize> Trace<N> {
-    /// Takes the values at time `time_s`, s.
+    /// Adds the values at time `time_s`, s.
     pub fn push(&mut self, time_s: f64, values: [f64; N]) {
         let now = values.map(|value| {
             value.is_finite().then_some(Extremes { low: (time_s, value), high: (time_s, value) })
@@ -57,7 +57,7 @@ impl<const N: usize> Trace<N> {
         self.steps_in_last += 1;
     }
 
-    /// Makes one bucket of each two. Called when the last one is full, so all stay equally long.
+    /// Merges each two buckets into one. Called when the last bucket is full, so all have equal length.
     fn halve(&mut self) {
         self.buckets = self
             .buckets
@@ -68,7 +68,7 @@ impl<const N: usize> Trace<N> {
         self.steps_in_last = self.steps_per_bucket;
     }
 
-    /// Times, s, and values of number `n`, in the order of time; where nothing was finite, NaN.
+    /// Returns times, s, and values of quantity `n`, in order of time. A bucket without a finite value gives NaN.
     pub fn points(&self, n: usize) -> Vec<(f64, f64)> {
         let mut out = Vec::with_capacity(2 * self.buckets.len());
         for bucket in &self.buckets {
@@ -94,7 +94,7 @@ fn joined<const N: usize>(a: [Option<Extremes>; N], b: [Option<Extremes>; N]) ->
 mod tests {
     use super::*;
 
-    /// Wanders, with one high and one low sample that no average would show.
+    /// Returns a long series with one high and one low sample that an average would hide.
     fn long() -> Vec<(f64, f64)> {
         let mut all: Vec<_> =
             (0..1_000_000_u32).map(|k| (f64::from(k) * 1e-3, f64::from(k * 37 % 1000))).collect();
@@ -104,7 +104,7 @@ mod tests {
     }
 
     #[test]
-    fn memory_is_bounded_and_extremes_stay() {
+    fn memory_is_bounded_and_extremes_are_kept() {
         let mut trace = Trace::default();
         for (t, value) in long() {
             trace.push(t, [value, 1.0]);
@@ -115,13 +115,13 @@ mod tests {
         assert!(points.contains(&(123.456, 1e6)) && points.contains(&(654.321, -1e6)));
         assert!(points.is_sorted_by(|a, b| a.0 < b.0));
         assert_eq!(trace.points(1).len(), trace.buckets.len());
-        // Every bucket but the last stands for equally many steps.
+        // Every bucket except the last covers the same number of steps.
         let length_s = f64::from(trace.steps_per_bucket) * 1e-3;
         assert!((points.len() as f64 * length_s / 2.0 - 1000.0).abs() < 2.0 * length_s);
     }
 
     #[test]
-    fn a_short_record_is_taken_a_hundred_times_a_second() {
+    fn short_trace_has_100_buckets_per_second() {
         let mut trace = Trace::default();
         for k in 0..2000_u32 {
             trace.push(f64::from(k) / 1e3, [f64::from(k)]);
@@ -131,7 +131,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_finite_leaves_a_gap_and_spoils_nothing() {
+    fn non_finite_values_leave_a_gap() {
         let mut trace = Trace::default();
         for k in 0..30 {
             let value = if (8..22).contains(&k) { f64::NAN } else { 1.0 };

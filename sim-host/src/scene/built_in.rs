@@ -1,11 +1,11 @@
-//! The scenes that come with the program.
+//! The built-in scenes.
 
 /// A built-in scene.
 #[derive(Clone, Copy, Debug)]
 pub struct BuiltIn {
-    /// What it is called on the command line.
+    /// Name on the command line.
     pub name: &'static str,
-    /// Its TOML.
+    /// Text of the TOML file.
     pub text: &'static str,
 }
 
@@ -15,7 +15,7 @@ macro_rules! scenes {
     };
 }
 
-/// All of them, the default first.
+/// All built-in scenes; the first is the default.
 pub const BUILT_IN: &[BuiltIn] = scenes![
     "hover",
     "steps",

@@ -1,4 +1,4 @@
-//! `[effects.…]`: every effect that a scene can name, in the order in which it applies.
+//! `[effects.…]`: all effects that a scene can name, in the order in which they are applied.
 
 use flight_core::imu_check::StuckCheck;
 use flight_core::sample::{ImuSample, MagSample, RcFrame};
@@ -16,48 +16,49 @@ use crate::effects::vehicle::{
     BatterySag, CgOffset, ConstantWind, Dryden, EscDelay, EscQuantization, GroundEffect, LinearDrag,
     MotorFailure, MotorLag, QuadraticDrag, RotorAcceleration, RotorDrag, RotorGyroscopic, VehicleEffect,
 };
-use crate::effects::{BoxedSensorEffect, Build, Recipe};
+use crate::effects::{BoxedSensorEffect, BuildContext, EffectParams};
 use crate::scene::DEFAULT_RATE_HZ;
 use crate::sensors::Converter;
 use input::InputError;
 
-/// A table of effects: one optional key each. The order of the fields is the order of application.
+/// Defines a table of effects with one optional key for each. The order of the fields is the order of application.
 macro_rules! effect_table {
-    ($(#[$doc:meta])* $table:ident, $prefix:literal, $effect:ty { $($key:ident: $recipe:ty),+ $(,)? }) => {
+    ($(#[$doc:meta])* $table:ident, $prefix:literal, $effect:ty { $($key:ident: $params:ty),+ $(,)? }) => {
         $(#[$doc])*
         #[derive(Clone, Debug, Default, Deserialize)]
         #[serde(deny_unknown_fields)]
         pub struct $table {
-            $(pub(super) $key: Option<$recipe>,)+
+            $(pub(super) $key: Option<$params>,)+
         }
 
         impl $table {
-            /// Every effect of the table, and whether it is named, in the order of application.
+            /// Returns each effect of the table and whether it is named, in the order of application.
             pub fn named(&self) -> Vec<(&'static str, bool)> {
                 vec![$((concat!($prefix, ".", stringify!($key)), self.$key.is_some())),+]
             }
 
-            /// Leaves an effect out; whether it was named.
-            pub fn leave_out(&mut self, name: &str) -> bool {
+            /// Removes an effect. Returns whether it was named.
+            pub fn remove(&mut self, name: &str) -> bool {
                 $(if name == concat!($prefix, ".", stringify!($key)) {
                     return self.$key.take().is_some();
                 })+
                 false
             }
 
+            /// Checks the values of the named effects.
             pub fn validate(&self) -> Result<(), InputError> {
-                $(if let Some(recipe) = &self.$key {
-                    recipe.validate(concat!("effects.", $prefix, ".", stringify!($key)))?;
+                $(if let Some(params) = &self.$key {
+                    params.validate(concat!("effects.", $prefix, ".", stringify!($key)))?;
                 })+
                 Ok(())
             }
 
-            /// Builds what is named.
-            pub fn build(&self, with: Build) -> Vec<(&'static str, $effect)> {
+            /// Builds the named effects.
+            pub fn build(&self, context: BuildContext) -> Vec<(&'static str, $effect)> {
                 let mut list = Vec::new();
-                $(if let Some(recipe) = &self.$key {
+                $(if let Some(params) = &self.$key {
                     let name = concat!($prefix, ".", stringify!($key));
-                    list.push((name, recipe.build(&Build { name, ..with }).into()));
+                    list.push((name, params.build(&BuildContext { name, ..context }).into()));
                 })+
                 list
             }
@@ -94,7 +95,7 @@ effect_table! {
 }
 
 effect_table! {
-    /// `[effects.vehicle]`: command, rotor speed, thrust, body.
+    /// `[effects.vehicle]`: effects on the ESC command, the rotor speed, the thrust and the body, in this order.
     VehicleEffects, "vehicle", VehicleEffect {
         esc_delay: EscDelay,
         esc_quantization: EscQuantization,
@@ -111,18 +112,18 @@ effect_table! {
     }
 }
 
-// Gyroscope and accelerometer: the order is the way of the signal through the chip.
+// Gyroscope and accelerometer: the order follows the signal through the chip.
 //
-// 1. What the element really feels: the motion where it sits (lever_arm), and the frame's vibration.
-// 2. What its mechanics and analogue part pass: bandwidth. All that is felt goes through it.
-// 3. What it takes for a rate: g_sensitivity. It is a static coupling by the true force, whose own vibration a
-//    scene gives to the gyroscope directly.
-// 4. Its gain: misalignment turns the true vector into the element's axes, scale_factor is each axis's own, and
-//    temperature changes gain and zero together. Gains come before the biases, so that a bias is what a sensor
-//    at rest shows, and a temperature that stays at its reference changes nothing.
-// 5. Its zero, which no gain multiplies: biases from the constant to the fastest, then white_noise, which
-//    is the noise that a datasheet gives for the output.
-// 6. Its number: saturation of the amplifier and then quantization, before the converter's own.
+// 1. Input of the sensing element: the motion at its position (lever_arm) and the vibration of the frame.
+// 2. Bandwidth of the mechanics and the analogue part (bandwidth). The whole input passes through it.
+// 3. Cross-sensitivity to acceleration (g_sensitivity): a static coupling to the true force, without vibration. A scene
+//    gives the vibration of the rate to the gyroscope directly.
+// 4. Gain: misalignment turns the true vector into the axes of the element, scale_factor scales each axis, and temperature
+//    changes gain and bias together. Gains come before the biases, so that a bias is the reading of a sensor at rest, and
+//    a constant temperature at the reference has no effect.
+// 5. Bias, which no gain multiplies: from the constant to the fastest, then white_noise, which is the output noise of a
+//    data sheet.
+// 6. Output: saturation of the amplifier, then quantization, before the quantization of the converter.
 effect_table! {
     /// `[effects.gyro]`
     GyroEffects, "gyro", BoxedSensorEffect {
@@ -165,7 +166,7 @@ effect_table! {
 }
 
 effect_table! {
-    /// `[effects.mag]`: the ambient field, what the vehicle makes of it and adds to it, the sensor.
+    /// `[effects.mag]`: the ambient field, the effects of the vehicle on it, then those of the sensor.
     MagEffects, "mag", MagEffect {
         disturbance: Disturbance,
         soft_iron: SoftIron,
@@ -178,7 +179,7 @@ effect_table! {
 }
 
 effect_table! {
-    /// `[effects.imu]`: the samples of gyroscope and accelerometer. Faults come before the latency.
+    /// `[effects.imu]`: effects on the delivery of IMU samples. Faults come before the latency.
     ImuEffects, "imu", ImuEffect {
         sampling_jitter: SamplingJitter,
         latency: Latency<ImuSample>,
@@ -187,7 +188,7 @@ effect_table! {
 }
 
 effect_table! {
-    /// `[effects.link]`: the frames from the transmitter.
+    /// `[effects.link]`: effects on the delivery of the transmitter's frames.
     LinkEffects, "link", BoxedDelivery<RcFrame> {
         latency: Latency<RcFrame>,
         loss: Loss<RcFrame>,
@@ -196,7 +197,7 @@ effect_table! {
 }
 
 impl Effects {
-    /// Every effect there is, and whether the scene names it, in the order of application.
+    /// Returns all known effects and whether the scene names each, in the order of application.
     pub fn named(&self) -> Vec<(&'static str, bool)> {
         [
             self.link.named(),
@@ -210,13 +211,14 @@ impl Effects {
         .concat()
     }
 
-    /// Which sensors are noisy enough that one which stands still must be stuck: half a count of white noise, and
-    /// no coarser steps than the chip's own. A sensor without errors may stand still for ever.
+    /// Returns which sensors are checked for being stuck. A constant reading is a fault only in a sensor with enough noise:
+    /// white noise of half a count or more per sample, and no quantization coarser than the chip's. A sensor without
+    /// errors may stay constant.
     pub fn stuck_check(&self, converters: &[Converter; 3]) -> StuckCheck {
         let [gyro, accel, _] = converters;
         let noisy = |density: [f64; 3], converter: &Converter| {
-            let least = 0.5 * converter.per_count() / f64::from(DEFAULT_RATE_HZ).sqrt();
-            density.iter().all(|n| *n >= least)
+            let min = 0.5 * converter.per_count() / f64::from(DEFAULT_RATE_HZ).sqrt();
+            density.iter().all(|n| *n >= min)
         };
         let Self { gyro: of_gyro, accel: of_accel, .. } = self;
         StuckCheck {
@@ -229,21 +231,22 @@ impl Effects {
         }
     }
 
-    /// Leaves an effect out; whether it was named.
-    pub fn leave_out(&mut self, name: &str) -> bool {
-        self.link.leave_out(name)
-            || self.wind.leave_out(name)
-            || self.vehicle.leave_out(name)
-            || self.gyro.leave_out(name)
-            || self.accel.leave_out(name)
-            || self.mag.leave_out(name)
-            || self.imu.leave_out(name)
+    /// Removes an effect. Returns whether it was named.
+    pub fn remove(&mut self, name: &str) -> bool {
+        self.link.remove(name)
+            || self.wind.remove(name)
+            || self.vehicle.remove(name)
+            || self.gyro.remove(name)
+            || self.accel.remove(name)
+            || self.mag.remove(name)
+            || self.imu.remove(name)
     }
 
+    /// Checks the values of the named effects, and that each has the other effects that it needs.
     pub fn validate(&self) -> Result<(), InputError> {
         self.wind.validate()?;
         self.vehicle.validate()?;
-        self.nothing_in_vain()?;
+        self.check_dependencies()?;
         self.gyro.validate()?;
         self.accel.validate()?;
         self.mag.validate()?;
@@ -251,21 +254,21 @@ impl Effects {
         self.link.validate()
     }
 
-    /// Refuses what would do nothing for want of another effect.
-    fn nothing_in_vain(&self) -> Result<(), InputError> {
+    /// Checks that no named effect is without consequence because another one is missing.
+    fn check_dependencies(&self) -> Result<(), InputError> {
         let vehicle = &self.vehicle;
         let has_drag =
             vehicle.linear_drag.is_some() || vehicle.quadratic_drag.is_some() || vehicle.rotor_drag.is_some();
         let wind = self.wind.named().into_iter().find_map(|(name, named)| named.then_some(name));
         if let Some(wind) = wind.filter(|_| !has_drag) {
             return Err(InputError::new(
-                "a wind acts by drag alone: name vehicle.linear_drag, vehicle.quadratic_drag or vehicle.rotor_drag",
+                "needs vehicle.linear_drag, vehicle.quadratic_drag or vehicle.rotor_drag: wind acts only through drag",
             )
             .field(format!("effects.{wind}")));
         }
         if vehicle.rotor_acceleration.is_some() && vehicle.motor_lag.is_none() {
             return Err(InputError::new(
-                "without a lag rotors have no acceleration, their speeds jump: name vehicle.motor_lag",
+                "needs vehicle.motor_lag: without a lag the rotor speed changes in a step",
             )
             .field("effects.vehicle.rotor_acceleration"));
         }

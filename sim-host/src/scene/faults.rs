@@ -1,6 +1,6 @@
-//! `[[fault]]`: what breaks during a scene, when, and for how long.
+//! `[[fault]]`: sensor faults during a scene, with their time and duration.
 //!
-//! | kind | of a sensor | further keys |
+//! | kind | sensor | further keys |
 //! |---|---|---|
 //! | `stuck_axis` | gyro, accel, mag | `axis` |
 //! | `spike` | gyro, accel, mag | `axis`, `counts` |
@@ -8,7 +8,7 @@
 //! | `dead` | imu, mag | |
 //! | `repeated_sample` | imu, mag | |
 //!
-//! Gyroscope and accelerometer are one chip and share a sample: what befalls a whole sample befalls `imu`.
+//! Gyroscope and accelerometer are in one chip and share a sample, so a fault of a whole sample is one of `imu`.
 
 use flight_core::sample::{ImuSample, MagSample};
 use serde::Deserialize;
@@ -29,7 +29,7 @@ enum Kind {
     RepeatedSample,
 }
 
-/// Every kind and its name in the list of effects, in the order in which faults of one moment are listed.
+/// Each kind with its name in the list of effects, in the order of that list.
 const NAMES: [(Kind, &str); 5] = [
     (Kind::StuckAxis, "fault.stuck_axis"),
     (Kind::InvalidCode, "fault.invalid_code"),
@@ -55,33 +55,35 @@ enum Axis {
     Z,
 }
 
-/// One `[[fault]]`.
+/// One table `[[fault]]`.
 #[derive(Clone, Copy, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Fault {
     kind: Kind,
     sensor: FaultySensor,
-    /// The first moment at which it shows, s.
+    /// Start of the fault, s.
     at_s: f64,
-    /// For how long, s; without it for good.
+    /// Duration of the fault, s; `None`: until the end.
     for_s: Option<f64>,
+    /// Axis of `stuck_axis` and `spike`.
     axis: Option<Axis>,
+    /// Height of a `spike`, counts.
     counts: Option<i16>,
 }
 
-/// Every kind of fault, and whether one of them is named.
+/// Returns all kinds of faults and whether the scene names one of each.
 pub fn named(faults: &[Fault]) -> Vec<(&'static str, bool)> {
     NAMES.iter().map(|(kind, name)| (*name, faults.iter().any(|fault| fault.kind == *kind))).collect()
 }
 
-/// Leaves out every fault of a kind; whether there was one.
-pub fn leave_out(faults: &mut Vec<Fault>, name: &str) -> bool {
-    let named = faults.len();
+/// Removes all faults of a kind. Returns whether there was one.
+pub fn remove(faults: &mut Vec<Fault>, name: &str) -> bool {
+    let before = faults.len();
     faults.retain(|fault| fault.name() != name);
-    faults.len() < named
+    faults.len() < before
 }
 
-/// What befalls the inertial samples, in the order of the file, at this many steps a second.
+/// Builds the faults of IMU samples in the order of the file, for steps at this rate.
 pub fn on_imu(faults: &[Fault], rate_hz: f64) -> Vec<Named<BoxedDelivery<ImuSample>>> {
     let invalid = ImuSample { gyro: [i16::MIN; 3], accel: [i16::MIN; 3] };
     let build = |fault: &Fault| {
@@ -95,7 +97,7 @@ pub fn on_imu(faults: &[Fault], rate_hz: f64) -> Vec<Named<BoxedDelivery<ImuSamp
     faults.iter().filter_map(build).collect()
 }
 
-/// What befalls the magnetometer's samples.
+/// Builds the faults of magnetometer samples in the order of the file, for samples at this rate.
 pub fn on_mag(faults: &[Fault], rate_hz: f64) -> Vec<Named<BoxedDelivery<MagSample>>> {
     let invalid = MagSample { counts: [i16::MIN; 3] };
     faults
@@ -117,21 +119,24 @@ impl Fault {
             check::in_range("fault.for_s", for_s, 1e-3, 1e6, "s")?;
         }
         let of_one_axis = matches!(self.kind, Kind::StuckAxis | Kind::Spike);
-        let said = |field: &str, message: &str| Err(InputError::new(message).field(field));
+        let refused = |field: &str, message: &str| Err(InputError::new(message).field(field));
         match (of_one_axis, self.sensor) {
             (true, FaultySensor::Imu) => {
-                return said("fault.sensor", "must be gyro, accel or mag: this kind is of one axis");
+                return refused("fault.sensor", "must be gyro, accel or mag: this kind affects one axis");
             }
             (false, FaultySensor::Gyro | FaultySensor::Accel) => {
-                return said("fault.sensor", "must be imu or mag: this kind is of a whole sample");
+                return refused("fault.sensor", "must be imu or mag: this kind affects a whole sample");
             }
             _ => {}
         }
         if of_one_axis != self.axis.is_some() {
-            return said("fault.axis", "is for stuck_axis and spike, which need it, and for no other kind");
+            return refused(
+                "fault.axis",
+                "is required for stuck_axis and spike, and not allowed for other kinds",
+            );
         }
         if (self.kind == Kind::Spike) != self.counts.is_some() {
-            return said("fault.counts", "is for spike, which needs it, and for no other kind");
+            return refused("fault.counts", "is required for spike, and not allowed for other kinds");
         }
         Ok(())
     }
@@ -143,7 +148,7 @@ impl Fault {
         invalid: T,
     ) -> BoxedDelivery<T> {
         let window = Window::new(self.at_s, self.for_s, rate_hz);
-        // Both are there where the kind takes them: see `validate`.
+        // `validate` has checked that both are given for the kinds that need them.
         let axis = self.axis.map_or(0, |axis| axis as usize);
         let by = self.counts.unwrap_or(0);
         match self.kind {
@@ -171,7 +176,7 @@ mod tests {
     }
 
     #[test]
-    fn every_fault_of_a_kind_is_left_out_at_once_and_no_other() {
+    fn removing_a_kind_removes_all_its_faults_and_no_others() {
         let fault = |kind: &str, at_s: f64| {
             format!("[[fault]]\nkind = \"{kind}\"\nsensor = \"imu\"\nat_s = {at_s}\nfor_s = 0.1\n")
         };
@@ -187,14 +192,24 @@ mod tests {
     fn keys_that_do_not_fit_the_kind_are_refused() {
         for (fault, wanted) in [
             ("kind = \"dead\"\nsensor = \"gyro\"\nat_s = 1.0", "fault.sensor: must be imu or mag"),
-            ("kind = \"stuck_axis\"\nsensor = \"gyro\"\nat_s = 1.0", "fault.axis: is for stuck_axis"),
-            ("kind = \"spike\"\nsensor = \"mag\"\naxis = \"x\"\nat_s = 1.0", "fault.counts: is for spike"),
-            ("kind = \"dead\"\nsensor = \"mag\"\naxis = \"x\"\nat_s = 1.0", "fault.axis: is for stuck_axis"),
+            (
+                "kind = \"stuck_axis\"\nsensor = \"gyro\"\nat_s = 1.0",
+                "fault.axis: is required for stuck_axis",
+            ),
+            (
+                "kind = \"spike\"\nsensor = \"mag\"\naxis = \"x\"\nat_s = 1.0",
+                "fault.counts: is required for spike",
+            ),
+            (
+                "kind = \"dead\"\nsensor = \"mag\"\naxis = \"x\"\nat_s = 1.0",
+                "fault.axis: is required for stuck_axis",
+            ),
             ("kind = \"deaf\"\nsensor = \"mag\"\nat_s = 1.0", "did you mean `dead`?"),
             ("kind = \"dead\"\nsensor = \"mag\"\nat_s = -1.0", "fault.at_s = -1: must be from 0"),
         ] {
-            let said = Scene::parse("wrong", &format!("{BARE}[[fault]]\n{fault}\n")).unwrap_err().to_string();
-            assert!(said.contains(wanted), "{said}");
+            let error =
+                Scene::parse("wrong", &format!("{BARE}[[fault]]\n{fault}\n")).unwrap_err().to_string();
+            assert!(error.contains(wanted), "{error}");
         }
     }
 }

@@ -1,4 +1,4 @@
-//! The tables and keys of a scene file, with their units in the keys.
+//! Tables and keys of a scene file. The names of the keys contain the units.
 
 use flight_core::rc::FlightMode;
 use serde::Deserialize;
@@ -14,11 +14,11 @@ use input::check::in_range;
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct SceneFile {
-    /// A scene that this one alters; already merged when this is read.
+    /// The scene that this one changes. It is merged before this is parsed.
     #[serde(default, rename = "include")]
     _include: Option<String>,
     pub scene: SceneTable,
-    /// What of the vehicle's file this scene alters; already taken out when this is read.
+    /// Changes to the vehicle file. They are removed before this is parsed.
     #[serde(default, rename = "vehicle")]
     _vehicle: Option<toml::Table>,
     #[serde(default)]
@@ -40,21 +40,21 @@ pub(super) struct SceneTable {
     pub description: String,
     pub duration_s: f64,
     pub seed: u64,
-    /// Looked up before this is read.
+    /// The vehicle, loaded before this is parsed.
     #[serde(rename = "vehicle")]
     _vehicle: String,
-    /// Looked up before this is read: its figures complete the effects.
+    /// The sensor preset, loaded before this is parsed: its values complete the effects.
     #[serde(rename = "imu")]
     _imu: String,
     #[serde(default)]
     pub mount: MountName,
     #[serde(default)]
     pub aerobatic: bool,
-    /// Absent: Ankara.
+    /// Place and date of the Earth's magnetic field; `None`: Ankara.
     pub place: Option<PlaceTable>,
 }
 
-/// `[scene.place]`: where the Earth's magnetic field is that of.
+/// `[scene.place]`: place and date of the Earth's magnetic field.
 #[derive(Clone, Copy, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct PlaceTable {
@@ -80,21 +80,21 @@ pub(super) enum MountName {
     BallJoint,
 }
 
-/// `[flight]`: what the flight controller is configured with.
+/// `[flight]`: configuration of the flight controller.
 #[derive(Clone, Debug, Default, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Flight {
-    /// Absent: the vehicle's.
+    /// Name of the estimator; `None`: the vehicle's.
     pub estimator: Option<String>,
-    /// Absent: the vehicle's.
+    /// Cutoff of the prefilter; `None`: the vehicle's.
     pub prefilter_hz: Option<vehicle::Cutoff>,
-    /// Added to the magnetic heading, positive east.
+    /// Declination, added to the magnetic heading, positive east.
     #[serde(default)]
     pub declination_deg: Declination,
     pub calibration: Option<CalibrationTable>,
 }
 
-/// `declination_deg = 6.175`, or `"model"` for that of the scene's place.
+/// Value of `declination_deg`: a number of degrees, or `"model"` for the declination at the scene's place.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(try_from = "toml::Value")]
 pub(super) enum Declination {
@@ -145,9 +145,9 @@ pub(super) struct Pilot {
     take_off_at_s: f64,
     height_m: Option<f64>,
     land_before_end_s: Option<f64>,
-    /// What the sticks do that no `[[pilot.move]]` names.
+    /// Source of the stick positions that no `[[pilot.move]]` sets.
     base: Option<BaseName>,
-    /// With `base = "centred"`.
+    /// Position of the throttle stick with `base = "centred"`, 0 to 1.
     throttle: Option<f64>,
     #[serde(default, rename = "move")]
     moves: Vec<MoveTable>,
@@ -193,14 +193,13 @@ enum Mode {
 impl Pilot {
     pub fn build(&self, ball_joint: bool) -> Result<PilotScript, InputError> {
         in_range("pilot.arm_at_s", self.arm_at_s, 0.0, 1e6, "s")?;
-        // The gesture is held for 1.2 s; 1.5 s after its start the motors turn.
+        // The pilot holds the arming gesture for 1.2 s; the motors turn 1.5 s after its start.
         in_range("pilot.take_off_at_s", self.take_off_at_s, self.arm_at_s + 1.6, 1e6, "s")?;
         if let Some(before_end_s) = self.land_before_end_s {
             in_range("pilot.land_before_end_s", before_end_s, 0.0, 1e6, "s")?;
         }
         if self.kind == PilotKind::Hold && !self.moves.is_empty() {
-            return Err(InputError::new("a pilot of kind \"hold\" has none; use kind = \"script\"")
-                .field("pilot.move"));
+            return Err(InputError::new("is only for a pilot of kind \"script\"").field("pilot.move"));
         }
         let base = match (self.kind, self.base) {
             (PilotKind::Hold, None) | (PilotKind::Script, Some(BaseName::Hold)) => Base::Hold,
@@ -211,18 +210,18 @@ impl Pilot {
                 Base::Centred { throttle }
             }
             (PilotKind::Hold, Some(_)) => {
-                return Err(InputError::new("only a pilot of kind \"script\" has one").field("pilot.base"));
+                return Err(InputError::new("is only for a pilot of kind \"script\"").field("pilot.base"));
             }
             (PilotKind::Script, None) => return Err(missing("pilot.base", "kind = \"script\"")),
         };
         if base == Base::Hold && ball_joint {
             return Err(InputError::new(
-                "a vehicle on a ball joint has no place to hold; use base = \"centred\"",
+                "must have base = \"centred\" on a ball joint, because the vehicle has no position to hold",
             )
             .field("pilot"));
         }
         let height_m = match (base, self.height_m) {
-            (Base::Hold, None) => return Err(missing("pilot.height_m", "a holding pilot")),
+            (Base::Hold, None) => return Err(missing("pilot.height_m", "a pilot that holds a position")),
             (_, height_m) => height_m.unwrap_or(0.0),
         };
         in_range("pilot.height_m", height_m, 0.0, 1000.0, "m")?;

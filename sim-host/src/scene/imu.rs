@@ -1,7 +1,7 @@
-//! Sensor presets: the converters of the chips, and the figures of their errors.
+//! Sensor presets: the converters of the chips, and the values of their errors.
 //!
-//! A preset gives figures; a scene names effects. `imu = "paper"` alone adds no error: it sets the converters,
-//! and an effect that the scene names without figures takes the preset's.
+//! A preset gives values, and a scene names effects. `imu = "paper"` alone adds no error: it sets the converters. An
+//! effect that the scene names without values takes those of the preset.
 
 use std::path::Path;
 
@@ -20,10 +20,10 @@ macro_rules! presets {
     };
 }
 
-/// The built-in presets.
+/// Name and text of the built-in presets.
 pub const PRESETS: &[(&str, &str)] = presets!["paper", "icm-42688-p", "mpu-6050", "bmi088", "adis16448"];
 
-/// Name and text of a built-in preset, or of a file beside the scene.
+/// Returns name and text of a built-in preset, or of a preset file whose path is relative to the scene.
 pub fn find(imu: &str, scene: &Path, read: ReadText) -> Result<(String, String), InputError> {
     built_in_or_file("imu", PRESETS, imu, scene, read)
         .map_err(|(path, error)| {
@@ -35,14 +35,14 @@ pub fn find(imu: &str, scene: &Path, read: ReadText) -> Result<(String, String),
         .ok_or_else(|| check::unknown("scene.imu", imu, PRESETS.iter().map(|preset| preset.0)).file(scene))
 }
 
-/// A preset file.
+/// A parsed preset file.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ImuPreset {
     gyro: GyroChip,
     accel: AccelChip,
     mag: MagChip,
-    /// Figures for the effects that a scene names. Checked here even if no scene does.
+    /// Values for the effects that a scene may name. They are checked even if the scene names none.
     #[serde(default)]
     effects: Effects,
 }
@@ -66,7 +66,7 @@ struct MagChip {
 }
 
 impl ImuPreset {
-    /// Reads and checks a preset; returns with it the table of its effects.
+    /// Parses and checks a preset. Returns it with the table of its effects.
     pub fn read<'a>(
         layers: &mut Layers<'a>,
         name: &str,
@@ -89,7 +89,7 @@ impl ImuPreset {
         Ok((preset, effects))
     }
 
-    /// Gyroscope (rad/s), accelerometer (m/s²), magnetometer (µT; 1 G is 100 µT).
+    /// Returns the converters of gyroscope (rad/s), accelerometer (m/s²) and magnetometer (µT; 1 G is 100 µT).
     pub fn converters(&self) -> [Converter; 3] {
         [
             Converter::new(std::f64::consts::PI / 180.0 / self.gyro.lsb_per_deg_s),

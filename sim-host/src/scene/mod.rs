@@ -1,8 +1,8 @@
-//! What a scene says: a TOML file, read, checked, and turned into the parts of a flight.
+//! Reads a scene, which is a TOML file, checks it, and builds the parts of a flight from it.
 //!
-//! A scene names the vehicle, the sensors, the pilot and the effects. **An effect that it does not name is
-//! not built.** Every key that exists is in `file.rs`, `effects.rs` and `tolerances.rs`; anything else is an error
-//! that names the nearest one.
+//! A scene names the vehicle, the sensors, the pilot and the effects. **An effect that the scene does not name is not
+//! built.** `file.rs`, `effects.rs`, `faults.rs` and `tolerances.rs` define all keys; an unknown key is an error that
+//! names the nearest known one.
 
 mod built_in;
 mod effects;
@@ -26,7 +26,7 @@ use flight_core::sample::RcFrame;
 
 use crate::dynamics::{Ground, Mount, VehicleParams};
 use crate::earth_field::{Place, declination_rad};
-use crate::effects::Build;
+use crate::effects::BuildContext;
 use crate::effects::delivery::{BoxedDelivery, ImuEffect, MagEffect};
 use crate::effects::vehicle::{ThrustShares, VehicleEffect};
 use crate::pilot::{Knowledge, PilotScript};
@@ -44,39 +44,40 @@ pub use built_in::{BUILT_IN, BuiltIn};
 pub use input::layers::ReadText;
 pub use tolerances::Drawn;
 
-/// Steps of the simulation, and samples of gyroscope and accelerometer, per second.
+/// Rate of the simulation steps and of the IMU, Hz.
 pub const DEFAULT_RATE_HZ: u32 = 1000;
 
-/// Samples of the magnetometer per second.
+/// Rate of the magnetometer, Hz.
 pub const MAG_RATE_HZ: u32 = 100;
 
 /// The Earth's field at Ankara, north, east, down, µT: WMM2025 at 39.93° N, 32.86° E, 0.9 km, in November
-/// 2026 (declination 6.175° east, inclination 58.19°, 48.18 µT), from another implementation than the one
-/// that scenes use.
+/// 2026 (declination 6.175° east, inclination 58.19°, 48.18 µT). The source is another implementation of the model than
+/// the one that scenes use.
 pub const FIELD_ANKARA_UT: Vec3<f64> = vec3(25.248, 2.732, 40.940);
 
-/// The scenes that a scene includes, directly or through another, the nearest first.
+/// A scene that a scene includes, directly or through another.
 struct Included {
     name: String,
     text: String,
 }
 
-/// Scenes that include each other in a row; more of them are a circle that goes by ever other names.
+/// Longest chain of included scenes. A longer one is taken for a cycle whose path changes with each turn.
 const MAX_INCLUDED: usize = 16;
 
 impl Included {
-    fn of(name: &str, text: &str, read: ReadText) -> Result<Vec<Self>, InputError> {
+    /// Returns all scenes that a scene includes, the nearest first.
+    fn all(name: &str, text: &str, read: ReadText) -> Result<Vec<Self>, InputError> {
         let mut list: Vec<Self> = Vec::new();
         let (mut name, mut text) = (name.to_owned(), text.to_owned());
         while let Some(next) = layers::text_at(&name, &text, "include")? {
             let found = if let Some(scene) = BUILT_IN.iter().find(|scene| scene.name == next) {
                 Self { name: next, text: scene.text.into() }
             } else {
-                // Beside the file that includes it.
+                // The path is relative to the file that includes it.
                 let path = Path::new(&name).with_file_name(&next);
                 let text = read(&path).map_err(|error| {
                     InputError::new(format!(
-                        "is no built-in scene, and {} cannot be read: {error}",
+                        "is not a built-in scene, and {} cannot be read: {error}",
                         path.display()
                     ))
                     .file(&name)
@@ -86,10 +87,12 @@ impl Included {
                 Self { name: path.display().to_string(), text }
             };
             if list.len() == MAX_INCLUDED || list.iter().any(|included| included.name == found.name) {
-                return Err(InputError::new("a scene includes itself")
-                    .file(&name)
-                    .field("include")
-                    .value(&found.name));
+                return Err(InputError::new(format!(
+                    "must not be part of a cycle, or of a chain of more than {MAX_INCLUDED} scenes"
+                ))
+                .file(&name)
+                .field("include")
+                .value(&found.name));
             }
             (name, text) = (found.name.clone(), found.text.clone());
             list.push(found);
@@ -98,55 +101,55 @@ impl Included {
     }
 }
 
-/// An effect and its name.
+/// An effect with its name.
 pub type Named<T> = (&'static str, T);
 
 /// A checked scene.
 #[derive(Clone, Debug)]
 pub struct Scene {
-    /// Name of a built-in scene, or the file's.
+    /// Name of the built-in scene, or path of the file.
     pub name: String,
-    /// What the scene is for, in a line.
+    /// Description of the scene, one line.
     pub description: String,
     /// Length, s.
     pub duration_s: f64,
     /// Seed of every random stream.
     pub seed: u64,
-    /// The vehicle that flies: `design`'s, but for what tolerances have drawn.
+    /// The vehicle that flies: `design` with the deviations that tolerances have drawn.
     pub vehicle: VehicleParams,
-    /// The vehicle of the file, with what the scene alters.
+    /// The vehicle of the vehicle file, with the changes of the scene.
     pub design: Vehicle,
-    /// Where `design` is from: the name of a built-in vehicle, or the path of a file.
+    /// Name of the built-in vehicle, or path of the vehicle file, of `design`.
     pub vehicle_place: String,
-    /// The files that it was put together from, and its own name.
+    /// All files that the scene was read from, and its own name.
     pub files: Vec<PathBuf>,
-    /// Whether it stands on a ball joint.
+    /// Whether the vehicle stands on a ball joint.
     pub ball_joint: bool,
-    /// Whether a tilt above 90° is meant.
+    /// Whether a tilt above 90° is intended and so is not a crash.
     pub aerobatic: bool,
-    /// `None`: nobody flies, the vehicle lies on the bench.
+    /// The pilot; `None`: the vehicle lies on the bench and does not fly.
     pub pilot: Option<PilotScript>,
-    /// What flight-core is configured with.
+    /// Configuration of the flight controller.
     pub config: Config,
     controller: FlightController,
-    /// The sensors' converters: gyro (rad/s), accel (m/s²), mag (µT).
+    /// Converters of the sensors: gyro (rad/s), accel (m/s²), mag (µT).
     pub converters: [Converter; 3],
     /// The Earth's field at the scene's place and date, north, east, down, µT.
     pub field_ut: Vec3<f64>,
-    /// Hash of the texts that the scene was put together from.
+    /// Hash of the texts of all files that the scene was read from.
     pub text_hash: u64,
     effects: effects::Effects,
     faults: Vec<faults::Fault>,
     tolerances: tolerances::Tolerances,
-    /// Thrust of each rotor beside the vehicle's coefficient; only in the scene of a run.
+    /// Thrust coefficient of each rotor divided by the vehicle's; only in the scene of a run.
     thrust_shares: Option<[f64; 4]>,
 }
 
 impl Scene {
-    /// A built-in scene by name, or a scene file by path.
+    /// Loads a built-in scene by name, or a scene file by path.
     ///
     /// # Errors
-    /// A name that is neither, with the nearest built-in one; anything wrong in the file.
+    /// The name is neither, or the scene has an error. The error names the nearest built-in scene.
     pub fn load(name_or_path: &str) -> Result<Self, InputError> {
         if let Some(scene) = BUILT_IN.iter().find(|scene| scene.name == name_or_path) {
             return Self::parse(scene.name, scene.text);
@@ -156,31 +159,29 @@ impl Scene {
             let names = BUILT_IN.iter().map(|scene| scene.name);
             let near = check::nearest(name_or_path, names.clone());
             let list = names.collect::<Vec<_>>().join(", ");
-            return Err(InputError::new(format!(
-                "no such file and no built-in scene{near} (there are: {list})"
-            ))
-            .field("SCENE")
-            .value(name_or_path));
+            return Err(InputError::new(format!("must be a scene file or a built-in scene: {list}{near}"))
+                .field("SCENE")
+                .value(name_or_path));
         }
-        let text = layers::text_of(path)
+        let text = layers::read_text(path)
             .map_err(|error| InputError::new(format!("cannot be read: {error}")).file(path))?;
         Self::parse(name_or_path, &text)
     }
 
-    /// [`Scene::load`], flown by another vehicle: a built-in one by name, or a vehicle file by path.
+    /// Loads a scene as [`Scene::load`], with another vehicle: a built-in one by name, or a vehicle file by path.
     ///
     /// # Errors
-    /// As there, and anything wrong with the vehicle.
+    /// As [`Scene::load`], or the vehicle has an error.
     pub fn load_with_vehicle(name_or_path: &str, vehicle: Option<&str>) -> Result<Self, InputError> {
         let scene = Self::load(name_or_path)?;
         let Some(vehicle) = vehicle else { return Ok(scene) };
-        // As paths from here, wherever the scene is.
+        // Absolute, because paths in a scene are relative to the scene file.
         let absolute = |path: &str, built_in: bool| match std::path::absolute(path) {
             Ok(absolute) if !built_in => absolute.display().to_string(),
             _ => path.to_owned(),
         };
         let include = absolute(name_or_path, BUILT_IN.iter().any(|scene| scene.name == name_or_path));
-        vehicle::find(vehicle, Path::new(""), &layers::text_of)
+        vehicle::find(vehicle, Path::new(""), &layers::read_text)
             .map_err(|error| error.field("--vehicle").value(vehicle))?;
         let mut altered = toml::Table::new();
         altered.insert("include".into(), include.into());
@@ -189,39 +190,39 @@ impl Scene {
         Self::parse(&scene.name, &altered.to_string())
     }
 
-    /// The files that no output may take the place of.
+    /// Returns the files that the scene was read from, which no output may overwrite.
     pub fn inputs(&self) -> Vec<&Path> {
         self.files.iter().map(PathBuf::as_path).collect()
     }
 
-    /// Reads a scene from TOML; `name` is what errors and results call it.
+    /// Parses a scene from TOML; `name` names it in errors and results.
     ///
     /// # Errors
-    /// Anything wrong in the text, in the scene it includes or in its sensors' preset.
+    /// The text, an included scene, the vehicle or the sensor preset has an error.
     pub fn parse(name: &str, text: &str) -> Result<Self, InputError> {
-        Self::parse_with(name, text, &layers::text_of)
+        Self::parse_with(name, text, &layers::read_text)
     }
 
-    /// [`Scene::parse`], with the files that the scene names read by `read`.
+    /// Parses a scene as [`Scene::parse`]; `read` reads the files that the scene names.
     ///
     /// # Errors
-    /// As there.
+    /// As [`Scene::parse`].
     pub fn parse_with(name: &str, text: &str, read: ReadText) -> Result<Self, InputError> {
         let files = RefCell::new(vec![PathBuf::from(name)]);
         let read: ReadText = &|path| {
             files.borrow_mut().push(path.into());
             read(path)
         };
-        let scene = Self::of_layers(name, text, read)?;
+        let scene = Self::from_layers(name, text, read)?;
         Ok(Self { files: files.into_inner(), ..scene })
     }
 
-    fn of_layers(name: &str, text: &str, read: ReadText) -> Result<Self, InputError> {
+    fn from_layers(name: &str, text: &str, read: ReadText) -> Result<Self, InputError> {
         if text.trim().is_empty() {
             return Err(InputError::new("is empty; a scene needs a [scene] table").file(name));
         }
-        let below = Included::of(name, text, read)?;
-        // Declared before the layers that borrow them.
+        let below = Included::all(name, text, read)?;
+        // Declared before `layers`, which borrows them.
         let (preset_name, preset_text);
         let mut layers = Layers::default();
         let mut table = layers.add(name, text)?;
@@ -230,7 +231,7 @@ impl Scene {
             table = merge(table, under);
         }
         let vehicle_name = string_in(&table, "vehicle", "vehicle").map_err(|error| error.file(name))?;
-        let (vehicle_layer, vehicle_text, figures_text);
+        let (vehicle_layer, vehicle_text, values_text);
         (vehicle_layer, vehicle_text) = vehicle::find(&vehicle_name, Path::new(name), read)
             .map_err(|error| error.file(name).field("scene.vehicle").value(&vehicle_name))?;
         let mut vehicle_table = layers.add(&vehicle_layer, &vehicle_text)?;
@@ -238,27 +239,27 @@ impl Scene {
             None => DeTable::new(),
             Some(DeValue::Table(altered)) => altered,
             Some(_) => {
-                return Err(InputError::new("must be a table; the vehicle's name stands in [scene]")
+                return Err(InputError::new("must be a table; the name of the vehicle is scene.vehicle")
                     .file(name)
                     .field("vehicle"));
             }
         };
         vehicle_table = merge(altered.clone(), vehicle_table);
-        let design = Vehicle::of_table(&vehicle_name, &layers, vehicle_table).map_err(|error| {
+        let design = Vehicle::from_table(&vehicle_name, &layers, vehicle_table).map_err(|error| {
             let here = error.field_name().is_some_and(|field| layers::has(&altered, field));
             match error.has_file() {
                 true => error,
                 false => error.file(if here { name } else { &vehicle_layer }),
             }
         })?;
-        figures_text = figures(&design);
-        let own_figures = layers.add(&format!("figures of {vehicle_layer}"), &figures_text)?;
+        values_text = vehicle_values_toml(&design);
+        let vehicle_values = layers.add(&format!("values of {vehicle_layer}"), &values_text)?;
         let imu = string_in(&table, "imu", "sensor preset").map_err(|error| error.file(name))?;
         (preset_name, preset_text) = imu::find(&imu, Path::new(name), read)?;
-        let (preset, figures) = ImuPreset::read(&mut layers, &preset_name, &preset_text)?;
+        let (preset, preset_values) = ImuPreset::read(&mut layers, &preset_name, &preset_text)?;
         if let Some(DeValue::Table(effects)) = table.get_mut("effects").map(Spanned::get_mut) {
-            complete(effects, &figures);
-            complete(effects, &own_figures);
+            complete(effects, &preset_values);
+            complete(effects, &vehicle_values);
         }
         let text_hash = layers.hash();
         let file: file::SceneFile =
@@ -316,10 +317,10 @@ impl Scene {
         Ok(built)
     }
 
-    /// Flies with other gains and limits.
+    /// Replaces the gains and limits of the controller.
     ///
     /// # Errors
-    /// One of them is out of range.
+    /// A value is out of range.
     pub fn set_control(&mut self, control: ControlParams) -> Result<(), InputError> {
         self.config.params.control = control;
         self.design.control = control;
@@ -328,10 +329,10 @@ impl Scene {
         Ok(())
     }
 
-    /// Makes the flight longer or shorter; a landing keeps its distance from the end.
+    /// Sets the length of the flight. The time from the landing to the end stays the same.
     ///
     /// # Errors
-    /// A length outside 0.01 s to 10⁶ s, or one that would land before it takes off.
+    /// The length is not from 0.01 s to 10⁶ s, or the landing would be before the take-off.
     pub fn set_duration(&mut self, duration_s: f64) -> Result<(), InputError> {
         check::in_range("scene.duration_s", duration_s, 0.01, 1.0e6, "s")?;
         if let Some(plan) = self.pilot.as_mut().map(|p| &mut p.plan)
@@ -351,24 +352,24 @@ impl Scene {
         Ok(())
     }
 
-    /// The names of the effects that the scene calls for, in the order in which they apply.
+    /// Returns the names of the effects that the scene names, in the order in which they are applied.
     pub fn effects(&self) -> Vec<&'static str> {
         self.named().filter_map(|(name, named)| named.then_some(name)).collect()
     }
 
-    /// The same scene without one of its effects, or without all faults of a kind; `None` if it names none.
+    /// Returns the scene without one of its effects, or without all faults of a kind; `None` if it has none.
     pub fn without(&self, effect: &str) -> Option<Self> {
         let mut scene = self.clone();
-        if !(scene.effects.leave_out(effect) | faults::leave_out(&mut scene.faults, effect)) {
+        if !(scene.effects.remove(effect) | faults::remove(&mut scene.faults, effect)) {
             return None;
         }
         scene.config.params.stuck_check = scene.effects.stuck_check(&scene.converters);
-        // Only which sensors are checked has changed, and no value of that is out of range.
+        // This does not fail: only the stuck-sensor check has changed, and each of its values is valid.
         scene.controller = FlightController::new(&scene.config).ok()?;
         Some(scene)
     }
 
-    /// The effects that there are and the scene does not name.
+    /// Returns the names of the known effects that the scene does not name.
     pub fn left_out(&self) -> Vec<&'static str> {
         self.named().filter_map(|(name, named)| (!named).then_some(name)).collect()
     }
@@ -377,42 +378,42 @@ impl Scene {
         self.effects.named().into_iter().chain(faults::named(&self.faults))
     }
 
-    /// The scene as the run with this seed flies it, with what its tolerances have drawn in place of the scene's
-    /// figures; and what they have drawn. Flight code and pilot know nothing of it.
-    pub fn of_run(&self, seed: u64) -> (Cow<'_, Self>, Drawn) {
+    /// Returns the scene of the run with this seed, in which the values that its tolerances draw replace those of the
+    /// scene, and the drawn values. The flight code and the pilot keep the values of the scene.
+    pub fn for_run(&self, seed: u64) -> (Cow<'_, Self>, Drawn) {
         if self.tolerances.is_empty() {
             return (Cow::Borrowed(self), Drawn::new());
         }
         let mut scene = self.clone();
         let drawn = self.tolerances.apply(&mut scene, seed);
-        // Drawn once.
+        // The tolerances have been applied.
         scene.tolerances = tolerances::Tolerances::default();
         (Cow::Owned(scene), drawn)
     }
 
-    /// The quantities that are drawn for each run, and how.
+    /// Returns the quantities that are drawn for each run, with their distribution.
     pub fn tolerances(&self) -> Vec<(&'static str, String)> {
         self.tolerances.described()
     }
 
-    /// The flight controller's configuration for a board that is built into the vehicle: with how the board lies there, and
-    /// how the magnetometer does. In the scene itself the sensors lie along the vehicle's axes.
+    /// Returns the flight controller's configuration for a board in the vehicle, with the mounting of board and
+    /// magnetometer. In the scene itself the axes of the sensors are those of the vehicle.
     pub fn board_config(&self) -> Config {
-        Config { params: self.design.mounted(self.config.params), ..self.config }
+        Config { params: self.design.with_mounting(self.config.params), ..self.config }
     }
 
-    /// How the vehicle is held.
+    /// Returns how the vehicle is held: free above the ground, or on a ball joint.
     pub fn mount(&self) -> Mount {
         if self.ball_joint { Mount::BallJoint } else { Mount::Free(Ground::new(&self.vehicle)) }
     }
 
-    fn build_at(&self, seed: u64, rate_hz: f64) -> Build<'_> {
-        Build { name: "", seed, rate_hz, duration_s: self.duration_s, vehicle: &self.vehicle }
+    fn context(&self, seed: u64, rate_hz: f64) -> BuildContext<'_> {
+        BuildContext { name: "", seed, rate_hz, duration_s: self.duration_s, vehicle: &self.vehicle }
     }
 
-    /// The effects on the vehicle, for steps at this rate.
+    /// Builds the effects on the vehicle, for steps at this rate.
     pub fn vehicle_effects(&self, seed: u64, rate_hz: f64) -> Vec<(&'static str, VehicleEffect)> {
-        let with = self.build_at(seed, rate_hz);
+        let with = self.context(seed, rate_hz);
         let mut list = self.effects.wind.build(with);
         if let Some(shares) = self.thrust_shares {
             list.push(("tolerances.thrust", VehicleEffect::Thrust(Box::new(ThrustShares(shares)))));
@@ -421,19 +422,19 @@ impl Scene {
         list
     }
 
-    /// The gyroscope with its errors, sampled at this rate.
+    /// Builds the gyroscope with its errors, sampled at this rate.
     pub fn gyro(&self, seed: u64, rate_hz: f64) -> Sensor {
-        Sensor::new(self.effects.gyro.build(self.build_at(seed, rate_hz)), self.converters[0])
+        Sensor::new(self.effects.gyro.build(self.context(seed, rate_hz)), self.converters[0])
     }
 
-    /// The accelerometer with its errors, sampled at this rate.
+    /// Builds the accelerometer with its errors, sampled at this rate.
     pub fn accel(&self, seed: u64, rate_hz: f64) -> Sensor {
-        Sensor::new(self.effects.accel.build(self.build_at(seed, rate_hz)), self.converters[1])
+        Sensor::new(self.effects.accel.build(self.context(seed, rate_hz)), self.converters[1])
     }
 
-    /// The magnetometer with its errors, sampled at this rate.
+    /// Builds the magnetometer with its errors, sampled at this rate.
     pub fn mag(&self, seed: u64, rate_hz: f64) -> Sensor {
-        let readings = self.effects.mag.build(self.build_at(seed, rate_hz)).into_iter();
+        let readings = self.effects.mag.build(self.context(seed, rate_hz)).into_iter();
         let readings = readings.filter_map(|(name, effect)| match effect {
             MagEffect::Reading(effect) => Some((name, effect)),
             MagEffect::Delivery(_) => None,
@@ -441,8 +442,8 @@ impl Scene {
         Sensor::new(readings.collect(), self.converters[2])
     }
 
-    /// All sensors with their errors and what befalls their samples, gyroscope and accelerometer sampled at
-    /// `rate_hz`, the magnetometer at `mag_rate_hz`.
+    /// Builds all sensors with their errors and the delivery effects on their samples. The IMU is sampled at `rate_hz`,
+    /// the magnetometer at `mag_rate_hz`.
     pub fn sensors(&self, seed: u64, rate_hz: f64, mag_rate_hz: f64) -> Sensors {
         let mut sensors = Sensors {
             gyro: self.gyro(seed, rate_hz),
@@ -467,31 +468,31 @@ impl Scene {
         sensors
     }
 
-    /// What befalls the transmitter's frames, at this many steps a second.
+    /// Builds the delivery effects on the transmitter's frames, for steps at this rate.
     pub fn link(&self, seed: u64, rate_hz: f64) -> Vec<Named<BoxedDelivery<RcFrame>>> {
-        self.effects.link.build(self.build_at(seed, rate_hz))
+        self.effects.link.build(self.context(seed, rate_hz))
     }
 
-    /// What befalls the inertial samples, faults first, at this many steps a second.
+    /// Builds the effects on the delivery of IMU samples, faults first, for steps at this rate.
     pub fn imu_effects(&self, seed: u64, rate_hz: f64) -> Vec<Named<ImuEffect>> {
         let faults = faults::on_imu(&self.faults, rate_hz).into_iter();
-        let effects = self.effects.imu.build(self.build_at(seed, rate_hz));
+        let effects = self.effects.imu.build(self.context(seed, rate_hz));
         faults.map(|(name, effect)| (name, effect.into())).chain(effects).collect()
     }
 
-    /// What befalls the magnetometer's samples, faults first, at this many of them a second.
+    /// Builds the effects on magnetometer samples, faults first, for samples at this rate.
     pub fn mag_effects(&self, seed: u64, rate_hz: f64) -> Vec<Named<MagEffect>> {
         let faults = faults::on_mag(&self.faults, rate_hz).into_iter();
-        let effects = self.effects.mag.build(self.build_at(seed, rate_hz));
+        let effects = self.effects.mag.build(self.context(seed, rate_hz));
         faults.map(|(name, effect)| (name, effect.into())).chain(effects).collect()
     }
 
-    /// The flight controller, disarmed, at the start of its flight.
+    /// Returns the flight controller at the start of its flight, disarmed.
     pub fn controller(&self) -> FlightController {
         self.controller.clone()
     }
 
-    /// What the pilot knows of the vehicle.
+    /// Returns the pilot's knowledge of the vehicle.
     pub fn pilot_knowledge(&self) -> Knowledge {
         let control = &self.config.params.control;
         Knowledge {
@@ -502,7 +503,7 @@ impl Scene {
     }
 }
 
-/// The string under `[scene]` with this key.
+/// Returns the string with this key in the table `[scene]`.
 fn string_in(table: &DeTable<'_>, key: &str, what: &str) -> Result<String, InputError> {
     let found = match table.get("scene").map(Spanned::get_ref) {
         None => None,
@@ -512,13 +513,13 @@ fn string_in(table: &DeTable<'_>, key: &str, what: &str) -> Result<String, Input
         Some(_) => return Err(InputError::new("must be a table").field("scene")),
     };
     found.ok_or_else(|| {
-        InputError::new(format!("is missing: the name of a built-in {what}, or a file's"))
+        InputError::new(format!("is missing: must be the name of a built-in {what}, or of a file"))
             .field(format!("scene.{key}"))
     })
 }
 
-/// Figures of a vehicle for the effects that a scene names without figures.
-fn figures(design: &Vehicle) -> String {
+/// Returns the vehicle's values for effects that a scene names without values, as TOML.
+fn vehicle_values_toml(design: &Vehicle) -> String {
     let vehicle = &design.params;
     let Vec3 { x, y, z } = vehicle.drag_kg_per_s;
     format!(
@@ -539,14 +540,8 @@ impl file::Flight {
             Some(cutoff) => cutoff.hz(),
         };
         if let Some(cutoff_hz) = prefilter_hz {
-            let (least_hz, most_hz) = vehicle::prefilter_range_hz();
-            check::in_open_range(
-                "flight.prefilter_hz",
-                cutoff_hz,
-                least_hz,
-                most_hz,
-                vehicle::PREFILTER_ALLOWED,
-            )?;
+            let (min_hz, max_hz) = vehicle::prefilter_range_hz();
+            check::in_open_range("flight.prefilter_hz", cutoff_hz, min_hz, max_hz, vehicle::PREFILTER_UNIT)?;
         }
         let declination_rad = match self.declination_deg {
             file::Declination::Model => declination_rad(field_ut),
@@ -582,7 +577,7 @@ impl file::Flight {
             };
             Calibration { gyro: sensor(&c.gyro_rad_s), accel: sensor(&c.accel_m_s2), mag: sensor(&c.mag_ut) }
         });
-        // A scene that names none flies sensors that are as their datasheets say.
+        // Without a calibration the sensors have the nominal values of their data sheets.
         Ok(Config { params, calibration: Some(calibration.unwrap_or(Calibration::NONE)) })
     }
 }

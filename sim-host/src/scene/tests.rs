@@ -1,11 +1,11 @@
 use super::*;
 use crate::dynamics::GRAVITY;
 use crate::effects::Snapshot;
-use crate::effects::sensor::testing::{STATE, at_rest, moment};
+use crate::effects::sensor::testing::{STATE, at_rest, snapshot};
 use crate::effects::vehicle::VehicleEffect;
 
 #[test]
-fn every_built_in_scene_reads_and_describes_itself() {
+fn every_built_in_scene_parses_and_has_a_description() {
     for scene in BUILT_IN {
         let scene = Scene::parse(scene.name, scene.text).unwrap();
         assert!(!scene.description.is_empty(), "{}", scene.name);
@@ -13,7 +13,7 @@ fn every_built_in_scene_reads_and_describes_itself() {
 }
 
 #[test]
-fn what_is_not_named_is_not_built() {
+fn effects_that_are_not_named_are_not_built() {
     let text = "[scene]\nduration_s = 1.0\nseed = 1\nvehicle = \"os4\"\nimu = \"paper\"\n";
     let scene = Scene::parse("bare", text).unwrap();
     assert!(scene.effects().is_empty() && scene.vehicle_effects(1, 1e3).is_empty() && scene.pilot.is_none());
@@ -28,19 +28,19 @@ fn what_is_not_named_is_not_built() {
 const BARE: &str = "[scene]\nduration_s = 1.0\nseed = 1\nvehicle = \"os4\"\nimu = \"paper\"\n";
 
 #[test]
-fn an_effect_without_figures_takes_the_presets_and_others_stay_unnamed() {
+fn effect_without_values_takes_those_of_the_preset() {
     let scene = Scene::parse("preset", &format!("{BARE}[effects.gyro.white_noise]\n")).unwrap();
     assert_eq!(scene.effects(), ["gyro.white_noise"]);
     let figures = "n_deg_per_sqrt_h = [1.9368, 1.239, 1.239]";
-    let same = Scene::parse("said", &format!("{BARE}[effects.gyro.white_noise]\n{figures}\n")).unwrap();
+    let same = Scene::parse("explicit", &format!("{BARE}[effects.gyro.white_noise]\n{figures}\n")).unwrap();
     at_rest(|at| {
-        let (mut taken, mut said) = (scene.gyro(1, 1e3), same.gyro(1, 1e3));
-        assert_eq!(taken.measure(Vec3::ZERO, at), said.measure(Vec3::ZERO, at));
+        let (mut from_preset, mut explicit) = (scene.gyro(1, 1e3), same.gyro(1, 1e3));
+        assert_eq!(from_preset.measure(Vec3::ZERO, at), explicit.measure(Vec3::ZERO, at));
     });
 }
 
 #[test]
-fn a_scene_alters_the_one_it_includes() {
+fn scene_changes_the_one_that_it_includes() {
     let text = "include = \"hover\"\n[scene]\nseed = 99\n[effects.vehicle.motor_lag]\ntau_s = 0.02\n";
     let (altered, hover) = (Scene::parse("altered", text).unwrap(), Scene::load("hover").unwrap());
     assert_eq!((altered.seed, altered.duration_s), (99, hover.duration_s));
@@ -48,23 +48,23 @@ fn a_scene_alters_the_one_it_includes() {
     let wrong = Scene::parse("wrong", "include = \"hover\"\n[scene]\nsed = 99\n").unwrap_err().to_string();
     assert!(wrong.starts_with("wrong:3: unknown field `sed`"), "{wrong}");
     let lost = Scene::parse("lost", "include = \"nowhere.toml\"\n").unwrap_err().to_string();
-    assert!(lost.starts_with("lost: include = nowhere.toml: is no built-in scene"), "{lost}");
+    assert!(lost.starts_with("lost: include = nowhere.toml: is not a built-in scene"), "{lost}");
 }
 
 #[test]
-fn a_scene_alters_its_vehicle_key_by_key() {
+fn scene_changes_single_keys_of_its_vehicle() {
     let text = "[scene]\nduration_s = 1.0\nseed = 1\nimu = \"paper\"\nvehicle = \"os4\"\n[vehicle]\nmass_g = 800.0\n";
     let scene = Scene::parse("heavy", text).unwrap();
     assert_eq!(scene.vehicle, VehicleParams { mass_kg: 0.8, ..VehicleParams::OS4 });
-    // What follows from the mass follows it.
+    // Values that are derived from the mass change with it.
     let descent = scene.config.params.descent.throttle;
     assert!((f64::from(descent) - 0.95 * scene.vehicle.hover_throttle()).abs() < 1e-6);
     assert!((scene.pilot_knowledge().hover_throttle / 0.5 - 0.8 / 0.65).abs() < 1e-3);
 }
 
 #[test]
-fn flight_core_is_told_of_the_vehicle_and_the_chips_that_fly() {
-    // The defaults of flight-core are written from datasheets in f32, the scene's in f64.
+fn config_has_the_vehicle_and_the_chips_of_the_scene() {
+    // The defaults of flight-core come from the same data sheets, but in f32; those of the scene in f64.
     let scene = Scene::load("hover").unwrap();
     let default = Params::default();
     let params = scene.config.params;
@@ -77,7 +77,7 @@ fn flight_core_is_told_of_the_vehicle_and_the_chips_that_fly() {
 }
 
 #[test]
-fn a_longer_flight_lands_as_long_before_its_end() {
+fn longer_flight_keeps_the_time_from_landing_to_end() {
     let mut scene = Scene::load("hover").unwrap();
     scene.set_duration(100.0).unwrap();
     assert_eq!(scene.pilot.as_ref().unwrap().plan.land_before_end_s, Some(8.0));
@@ -89,7 +89,7 @@ fn a_longer_flight_lands_as_long_before_its_end() {
 }
 
 #[test]
-fn presets_are_what_their_datasheets_say() {
+fn presets_have_the_values_of_their_data_sheets() {
     // One-sided densities in °/s/√Hz and µg/√Hz, or random walks in °/√h and m/s/√h.
     let two_sided = |density: f64| density / 2.0_f64.sqrt();
     let gyro = |density: f64| Some(two_sided(density) * 60.0);
@@ -102,7 +102,7 @@ fn presets_are_what_their_datasheets_say() {
     ] {
         let scene = Scene::parse("preset", &BARE.replace("\"paper\"", &format!("\"{preset}\""))).unwrap();
         let [rate, force, _] = scene.converters.map(|converter| converter.per_count());
-        // Datasheets give three or four digits.
+        // Data sheets give three or four digits.
         assert!((rate * lsb_per_deg_s / 1_f64.to_radians() - 1.0).abs() < 2e-3, "{preset}");
         assert!((force * lsb_per_g / GRAVITY - 1.0).abs() < 2e-3, "{preset}");
         let (_, text) = imu::PRESETS.iter().find(|(name, _)| *name == preset).unwrap();
@@ -126,13 +126,13 @@ fn presets_are_what_their_datasheets_say() {
 }
 
 #[test]
-fn the_place_decides_on_the_field_and_the_model_on_the_declination() {
+fn place_sets_the_field_and_model_the_declination() {
     let ankara = Scene::parse("ankara", BARE).unwrap();
     assert!((ankara.field_ut - FIELD_ANKARA_UT).norm() < 0.05);
     let natick = "[scene.place]\nlatitude_deg = 42.283\nlongitude_deg = -71.35\naltitude_m = 1000.0\nyear = 2028.505\n";
     let text = format!("{BARE}{natick}[flight]\nestimator = \"flight\"\ndeclination_deg = \"model\"\n");
     let scene = Scene::parse("natick", &text).unwrap();
-    // The documentation of MATLAB's wrldmagm has −13.6891° there and then.
+    // The documentation of MATLAB's wrldmagm gives −13.6891° for this place and date.
     let declination = f64::from(scene.config.params.estimator.declination_rad).to_degrees();
     assert!((declination + 13.6891).abs() < 0.02, "{declination}");
     let wrong = text.replace("\"model\"", "\"modell\"");
@@ -141,28 +141,28 @@ fn the_place_decides_on_the_field_and_the_model_on_the_declination() {
 
 const EVERY_EFFECT: &str = include_str!("../../benches/every_effect.toml");
 
-/// The bare scene with those of [`EVERY_EFFECT`]'s own tables that are asked for.
+/// Returns the bare scene with the effects of these names, with their values in [`EVERY_EFFECT`].
 fn with_effects(names: &[&str]) -> Scene {
     let every: toml::Table = EVERY_EFFECT.parse().unwrap();
     let mut effects = every["effects"].as_table().unwrap().clone();
     for (group, effects) in &mut effects {
-        let asked_for = |effect: &str| names.contains(&format!("{group}.{effect}").as_str());
-        effects.as_table_mut().unwrap().retain(|effect, _| asked_for(effect));
+        let requested = |effect: &str| names.contains(&format!("{group}.{effect}").as_str());
+        effects.as_table_mut().unwrap().retain(|effect, _| requested(effect));
     }
-    // As long as the flight that the file includes: the band of flicker depends on it.
+    // The duration of the included scene: the frequency band of the flicker noise depends on it.
     let mut text: toml::Table = BARE.replace("duration_s = 1.0", "duration_s = 30.0").parse().unwrap();
     text.insert("effects".into(), effects.into());
     Scene::parse("some", &text.to_string()).unwrap()
 }
 
-/// What an effect of a sensor or of the air made of the same readings, bit by bit.
+/// Name of a sensor or wind effect, and the bits of its output for a fixed input.
 type Contribution = (&'static str, Vec<[u64; 3]>);
 
-/// What each effect of a scene makes of the same readings while the vehicle flies: its contribution alone.
+/// Returns the output of each effect of a scene alone, for the same readings of a vehicle in flight.
 fn contributions(scene: &Scene) -> Vec<Contribution> {
     let state = crate::dynamics::State { rates: vec3(0.1, -0.2, 0.3), ..STATE };
     let at =
-        |k: u32| Snapshot { rotors: [200.0, 210.0, 220.0, 230.0], ..moment(&state, f64::from(k) * 1e-3) };
+        |k: u32| Snapshot { rotors: [200.0, 210.0, 220.0, 230.0], ..snapshot(&state, f64::from(k) * 1e-3) };
     let bits = |v: Vec3<f64>| <[f64; 3]>::from(v).map(f64::to_bits);
     let mut list = Vec::new();
     for (name, effect) in scene.vehicle_effects(7, 1e3) {
@@ -180,12 +180,12 @@ fn contributions(scene: &Scene) -> Vec<Contribution> {
 }
 
 #[test]
-fn no_effect_moves_the_draws_of_another() {
+fn effects_do_not_change_each_others_draws() {
     let groups = ["wind.", "gyro.", "accel.", "mag.", "vehicle.quadratic_drag"];
     let mut names = Scene::parse("every", EVERY_EFFECT).unwrap().effects();
     names.retain(|name| groups.iter().any(|group| name.starts_with(group)));
     let every = contributions(&with_effects(&names));
-    // A wind needs a drag, which draws nothing.
+    // Wind needs a drag, which draws no random numbers.
     let alone = |name| contributions(&with_effects(&[name, "vehicle.quadratic_drag"]));
     for (i, first) in every.iter().enumerate() {
         assert_eq!(alone(first.0), std::slice::from_ref(first), "alone and with all the others");
@@ -197,37 +197,41 @@ fn no_effect_moves_the_draws_of_another() {
 }
 
 #[test]
-fn the_file_of_every_effect_has_every_effect() {
+fn every_effect_toml_names_all_effects() {
     assert_eq!(Scene::parse("every", EVERY_EFFECT).unwrap().left_out(), Vec::<&str>::new());
 }
 
-/// A scene, with `text` for every file that it names.
+/// Parses a scene; every file that it names has the content `text`.
 fn with_files(scene: &str, text: &str) -> Result<Scene, InputError> {
     Scene::parse_with("scene.toml", scene, &|_| Ok(text.into()))
 }
 
 #[test]
-fn an_array_of_an_included_scene_knows_its_file_and_line() {
+fn error_in_an_included_array_names_its_file_and_line() {
     let below = "[[fault]]\nkind = \"dead\"\nsensor = \"imu\"\nat_s = 0.5\nfr_s = 1.0\n";
-    // As many characters of three bytes as lie before the wrong key, and then some: its place is inside one.
+    // More characters of three bytes than there are bytes before the wrong key: its offset is inside a character.
     let above = format!("include = \"below.toml\"\n# {}\n{BARE}", "…".repeat(100));
-    let said = with_files(&above, below).unwrap_err().to_string();
-    assert!(said.starts_with("below.toml:5: unknown field `fr_s`"), "{said}");
+    let error = with_files(&above, below).unwrap_err().to_string();
+    assert!(error.starts_with("below.toml:5: unknown field `fr_s`"), "{error}");
 }
 
 #[test]
-fn a_circle_of_includes_ends_by_whatever_names_it_goes() {
-    let said =
+fn cycle_of_includes_is_refused() {
+    let error =
         with_files("include = \"./scene.toml\"\n", "include = \"./scene.toml\"\n").unwrap_err().to_string();
-    assert!(said.contains("include = ./") && said.ends_with("a scene includes itself"), "{said}");
+    assert!(
+        error.contains("include = ./")
+            && error.ends_with("must not be part of a cycle, or of a chain of more than 16 scenes"),
+        "{error}"
+    );
 }
 
 #[test]
-fn a_text_without_an_end_is_no_scene() {
+fn text_above_one_mebibyte_is_refused() {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("long.toml");
     std::fs::write(&path, "#".repeat(1 << 20)).unwrap();
-    assert!(layers::text_of(&path).is_ok());
+    assert!(layers::read_text(&path).is_ok());
     std::fs::write(&path, "#".repeat((1 << 20) + 1)).unwrap();
-    assert_eq!(layers::text_of(&path).unwrap_err().to_string(), "longer than 1048576 bytes");
+    assert_eq!(layers::read_text(&path).unwrap_err().to_string(), "longer than 1048576 bytes");
 }

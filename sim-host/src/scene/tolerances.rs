@@ -1,16 +1,18 @@
-//! `[tolerances]`: by how much a vehicle and its sensors may differ from what the scene says.
+//! `[tolerances]`: how far the vehicle and the sensors of a run may differ from those of the scene.
 //!
-//! Every run of a scene flies a vehicle of its own, drawn once from these. The flight code and the pilot know only
-//! the scene's figures, as somebody who builds a dozen vehicles from one parts list does.
+//! Each run of a scene flies its own vehicle, drawn once from the tolerances. The flight code and the pilot know only the
+//! values of the scene. This models several vehicles that are built from one parts list.
 //!
-//! | key | what is drawn | of which |
+//! | key | bound of the deviation | distribution |
 //! |---|---|---|
-//! | `uniform` | anything within ± this, in the unit of the quantity | each value as likely |
-//! | `normal` | the same | normal with σ a third of this; a draw beyond it is drawn again |
-//! | `uniform_percent`, `normal_percent` | the same | ± this share of the scene's figure |
+//! | `uniform` | ± this, in the unit of the quantity | uniform |
+//! | `normal` | ± this, in the unit of the quantity | normal, σ is a third of the bound; a draw beyond the bound is repeated |
+//! | `uniform_percent` | ± this share of the scene's value, % | uniform |
+//! | `normal_percent` | ± this share of the scene's value, % | as `normal` |
 //!
-//! A quantity that is not named is not drawn. Each draws from streams of its own, one an axis or rotor, seeded by
-//! (seed of the run, quantity, axis): naming one moves no other draw, and `--seed` alone brings a run back.
+//! A quantity that is not named is not drawn. Each axis or rotor of a quantity has its own random stream, seeded by (seed
+//! of the run, quantity, axis). So naming one quantity does not change the draws of another, and `--seed` alone
+//! reproduces a run.
 
 use flight_core::geometry::vec3;
 use serde::Deserialize;
@@ -21,7 +23,7 @@ use crate::effects::vehicle::CgOffset;
 use input::InputError;
 use random::{NormalStream, UniformStream};
 
-/// A bound and a distribution: exactly one of the four keys.
+/// A bound with its distribution: exactly one of the four keys is given.
 #[derive(Clone, Copy, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Tolerance {
@@ -31,10 +33,10 @@ struct Tolerance {
     normal_percent: Option<f64>,
 }
 
-/// Deviations of a normal draw within its bound.
+/// Bound of a normal draw, in standard deviations.
 const SIGMAS: f64 = 3.0;
 
-/// Largest share of the scene's figure, %.
+/// Largest share of the scene's value, %.
 const MAX_PERCENT: f64 = 50.0;
 
 impl Tolerance {
@@ -48,14 +50,14 @@ impl Tolerance {
         self.normal.is_some() || self.normal_percent.is_some()
     }
 
-    /// The bound around this figure, in its unit.
-    fn bound(&self, figure: f64) -> f64 {
+    /// Returns the bound around this value, in its unit.
+    fn bound(&self, value: f64) -> f64 {
         let percent = self.uniform_percent.or(self.normal_percent);
         let absolute = self.uniform.or(self.normal);
-        absolute.or(percent.map(|percent| percent * 0.01 * figure)).unwrap_or(0.0)
+        absolute.or(percent.map(|percent| percent * 0.01 * value)).unwrap_or(0.0)
     }
 
-    /// For people: `normal ±3 %`.
+    /// Formats distribution and bound, for example `normal ±3 %`.
     fn text(&self, unit: &str) -> String {
         let distribution = if self.is_normal() { "normal" } else { "uniform" };
         let (bound, unit) = match (self.uniform.or(self.normal), self.uniform_percent.or(self.normal_percent))
@@ -66,43 +68,43 @@ impl Tolerance {
         format!("{distribution} ±{bound} {unit}")
     }
 
-    /// A deviation from this figure, drawn for one axis of a run.
-    fn draw(&self, quantity: &str, seed: u64, axis: usize, figure: f64) -> f64 {
+    /// Draws the deviation from this value for one axis of a run.
+    fn draw(&self, quantity: &str, seed: u64, axis: usize, value: f64) -> f64 {
         let stream = format!("tolerances.{quantity}");
         let share = if self.is_normal() {
             let mut stream = NormalStream::new(seed, &stream, axis);
-            // One draw in 370 is beyond.
+            // One draw in 370 is beyond 3 σ.
             let within = std::iter::repeat_with(|| stream.draw()).find(|x| x.abs() <= SIGMAS);
             within.unwrap_or(0.0) / SIGMAS
         } else {
             2.0 * UniformStream::new(seed, &stream, axis).draw() - 1.0
         };
-        share * self.bound(figure)
+        share * self.bound(value)
     }
 }
 
-/// What may be named.
+/// A quantity that can have a tolerance.
 struct Quantity {
     name: &'static str,
     unit: &'static str,
-    /// What its axes or rotors are called.
+    /// Suffixes of the names of its axes or rotors.
     axes: &'static [&'static str],
-    /// The largest absolute bound, where the scene has no figure to measure it by; else it is half of the figure.
+    /// Largest absolute bound, for a quantity without a value in the scene; `None`: half of the scene's value.
     largest: Option<f64>,
-    /// The scene's figures, one an axis; zero for what comes on top of an error.
-    figures: fn(&Scene) -> Vec<f64>,
-    /// Puts what was drawn in their place, or on top of the error.
+    /// Returns the scene's values, one for each axis; zeros for a quantity that is added to an error.
+    values: fn(&Scene) -> Vec<f64>,
+    /// Replaces these values by the drawn ones, or adds the drawn ones to the error.
     set: fn(&mut Scene, &[f64]),
 }
 
 const ONE: &[&str] = &[""];
 const AXES: &[&str] = &[".x", ".y", ".z"];
-/// Thrust is along z: how far down the centre of gravity is turns nothing.
+/// Axes of the centre of gravity. Thrust is along z, so an offset along z causes no torque.
 const LEVEL: &[&str] = &[".x", ".y"];
 const ROTORS: &[&str] = &[".1", ".2", ".3", ".4"];
 
 macro_rules! tolerances {
-    ($($(#[$doc:meta])* $key:ident: $unit:literal, $axes:ident, $largest:expr, $figures:expr, $set:expr;)+) => {
+    ($($(#[$doc:meta])* $key:ident: $unit:literal, $axes:ident, $largest:expr, $values:expr, $set:expr;)+) => {
         /// `[tolerances]`
         #[derive(Clone, Debug, Default, Deserialize)]
         #[serde(deny_unknown_fields)]
@@ -111,12 +113,13 @@ macro_rules! tolerances {
         }
 
         impl Tolerances {
+            /// Returns the quantities that the scene names.
             fn named(&self) -> Vec<(Quantity, Tolerance)> {
                 let mut list = Vec::new();
                 $(if let Some(tolerance) = self.$key {
                     let (name, unit, axes, largest) = (stringify!($key), $unit, $axes, $largest);
                     list.push((
-                        Quantity { name, unit, axes, largest, figures: $figures, set: $set },
+                        Quantity { name, unit, axes, largest, values: $values, set: $set },
                         tolerance,
                     ));
                 })+
@@ -127,25 +130,25 @@ macro_rules! tolerances {
 }
 
 tolerances! {
-    /// m.
+    /// Mass m.
     mass_kg: "kg", ONE, None, |s| vec![s.vehicle.mass_kg], |s, drawn| s.vehicle.mass_kg = drawn[0];
-    /// I_xx, I_yy and I_zz, each by itself.
+    /// Moments of inertia I_xx, I_yy and I_zz, each drawn separately.
     inertia_kg_m2: "kg m²", AXES, None,
         |s| <[f64; 3]>::from(s.vehicle.inertia_kg_m2).into(),
         |s, drawn| s.vehicle.inertia_kg_m2 = vec3(drawn[0], drawn[1], drawn[2]);
-    /// J_r of all rotors.
+    /// Moment of inertia J_r, the same for all rotors.
     rotor_inertia_kg_m2: "kg m²", ONE, None,
         |s| vec![s.vehicle.rotor_inertia_kg_m2], |s, drawn| s.vehicle.rotor_inertia_kg_m2 = drawn[0];
-    /// l.
+    /// Arm length l.
     arm_m: "m", ONE, None, |s| vec![s.vehicle.arm_m()], |s, drawn| s.vehicle.set_arm_m(drawn[0]);
-    /// b, each rotor by itself.
+    /// Thrust coefficient b, drawn separately for each rotor.
     thrust_coefficient_n_s2: "N s²", ROTORS, None,
         |s| vec![s.vehicle.thrust_coefficient; 4],
         |s, drawn| s.thrust_shares = Some([0, 1, 2, 3].map(|i| drawn[i] / s.vehicle.thrust_coefficient));
-    /// d of all rotors.
+    /// Torque coefficient d, the same for all rotors.
     torque_coefficient_n_m_s2: "N m s²", ONE, None,
         |s| vec![s.vehicle.torque_coefficient], |s, drawn| s.vehicle.torque_coefficient = drawn[0];
-    /// τ of all rotors; a τ of its own for slowing down changes by the same factor.
+    /// Time constant τ of the motor lag, the same for all rotors. If braking has its own τ, it changes by the same factor.
     motor_lag_tau_s: "s", ONE, None,
         |s| s.effects.vehicle.motor_lag.iter().map(|lag| lag.tau_s).collect(),
         |s, drawn| if let Some(lag) = &mut s.effects.vehicle.motor_lag {
@@ -153,26 +156,25 @@ tolerances! {
             lag.tau_s = drawn[0];
             lag.tau_down_s = lag.tau_down_s.map(|tau_s| tau_s * factor);
         };
-    /// Where the centre of gravity is, on top of the scene's own offset.
+    /// Offset of the centre of gravity, added to that of the scene.
     cg_offset_m: "m", LEVEL, Some(0.1), |_| vec![0.0; 2],
         |s, drawn| {
             let none = CgOffset { offset_m: [0.0; 3] };
             add(&mut s.effects.vehicle.cg_offset.get_or_insert(none).offset_m, drawn);
         };
-    /// Scale factor of the gyroscope, on top of the scene's own.
+    /// Scale-factor error of the gyroscope, added to that of the scene.
     gyro_scale_ppm: "ppm", AXES, Some(1e5), |_| vec![0.0; 3],
         |s, drawn| {
             let none = ScaleFactor { error_ppm: [0.0; 3] };
             add(&mut s.effects.gyro.scale_factor.get_or_insert(none).error_ppm, drawn);
         };
-    /// Scale factor of the accelerometer, on top of the scene's own.
+    /// Scale-factor error of the accelerometer, added to that of the scene.
     accel_scale_ppm: "ppm", AXES, Some(1e5), |_| vec![0.0; 3],
         |s, drawn| {
             let none = ScaleFactor { error_ppm: [0.0; 3] };
             add(&mut s.effects.accel.scale_factor.get_or_insert(none).error_ppm, drawn);
         };
-    /// How the chip of gyroscope and accelerometer is turned on the board, on top of the scene's own: one draw for
-    /// both.
+    /// Rotation of the IMU chip on the board, added to that of the scene. Gyroscope and accelerometer share the draw.
     imu_mounting_mrad: "mrad", AXES, Some(100.0), |_| vec![0.0; 3],
         |s, drawn| {
             for misalignment in [&mut s.effects.gyro.misalignment, &mut s.effects.accel.misalignment] {
@@ -180,7 +182,7 @@ tolerances! {
                 add(&mut misalignment.get_or_insert(none).mounting_mrad, drawn);
             }
         };
-    /// Hard iron that has come since the calibration, on top of the scene's own.
+    /// Hard iron that appeared after the calibration, added to that of the scene.
     mag_hard_iron_ut: "µT", AXES, Some(1e3), |_| vec![0.0; 3],
         |s, drawn| {
             let none = HardIron { field_ut: [0.0; 3] };
@@ -192,8 +194,8 @@ fn add(to: &mut [f64; 3], drawn: &[f64]) {
     to.iter_mut().zip(drawn).for_each(|(to, drawn)| *to += drawn);
 }
 
-/// What was drawn for a run: names such as `inertia_kg_m2.x`, and the figures that fly. Of what comes on top of the
-/// scene's own error it is what was drawn.
+/// The drawn values of a run, with names such as `inertia_kg_m2.x`. For a quantity that is added to an error of the scene
+/// it is the added part.
 pub type Drawn = Vec<(String, f64)>;
 
 impl Tolerances {
@@ -201,14 +203,14 @@ impl Tolerances {
         self.named().is_empty()
     }
 
-    /// Every quantity that is named, and how it is drawn, for people.
+    /// Returns each named quantity with its distribution and bound as text.
     pub fn described(&self) -> Vec<(&'static str, String)> {
         self.named().into_iter().map(|(quantity, t)| (quantity.name, t.text(quantity.unit))).collect()
     }
 
-    /// Checks the bounds against the scene that they stand in.
+    /// Checks the bounds against the values of the scene.
     pub fn validate(&self, scene: &Scene) -> Result<(), InputError> {
-        for (Quantity { name, unit, largest, figures, .. }, tolerance) in self.named() {
+        for (Quantity { name, unit, largest, values, .. }, tolerance) in self.named() {
             let field = format!("tolerances.{name}");
             let given = tolerance.values();
             let [(key, value)] = Tolerance::KEYS
@@ -223,17 +225,15 @@ impl Tolerances {
                 ))
                 .field(field));
             };
-            let figures = figures(scene);
-            if figures.is_empty() {
-                return Err(
-                    InputError::new("the scene has no lag: name effects.vehicle.motor_lag").field(field)
-                );
+            let values = values(scene);
+            if values.is_empty() {
+                return Err(InputError::new("needs effects.vehicle.motor_lag").field(field));
             }
             let field = format!("{field}.{key}");
             match (key.ends_with("_percent"), largest) {
                 (true, Some(_)) => {
                     return Err(InputError::new(
-                        "must be uniform or normal: there is no figure to take a share of",
+                        "must be uniform or normal: the scene has no value to take a share of",
                     )
                     .field(field)
                     .value(value));
@@ -241,16 +241,17 @@ impl Tolerances {
                 (true, None) => check::in_range(&field, value, 0.0, MAX_PERCENT, "%")?,
                 (false, Some(largest)) => check::in_range(&field, value, 0.0, largest, unit)?,
                 (false, None) => {
-                    let smallest = figures.iter().copied().fold(f64::INFINITY, f64::min);
+                    let smallest = values.iter().copied().fold(f64::INFINITY, f64::min);
                     check::in_range(&field, value, 0.0, 0.01 * MAX_PERCENT * smallest, unit)?;
                 }
             }
         }
-        self.body_exists(scene)
+        self.check_inertia(scene)
     }
 
-    /// No body has a moment of inertia above the sum of the other two: ∫(y² + z²) ≤ ∫(x² + z²) + ∫(x² + y²).
-    fn body_exists(&self, scene: &Scene) -> Result<(), InputError> {
+    /// Checks that every drawn inertia is that of a possible body, which has no moment of inertia above the sum of the
+    /// other two: ∫(y² + z²) ≤ ∫(x² + z²) + ∫(x² + y²).
+    fn check_inertia(&self, scene: &Scene) -> Result<(), InputError> {
         let Some(tolerance) = self.inertia_kg_m2 else { return Ok(()) };
         let moments = <[f64; 3]>::from(scene.vehicle.inertia_kg_m2);
         let sum = |end: f64| moments.map(|moment| moment + end * tolerance.bound(moment));
@@ -259,8 +260,8 @@ impl Tolerances {
             let others = low[(i + 1) % 3] + low[(i + 2) % 3];
             if high[i] > others {
                 return Err(InputError::new(format!(
-                    "must be less: {} kg m² about {} may come with {others} about the other two together, and no body has more \
-                     about one than about both others",
+                    "must be smaller: it allows {} kg m² about {} with a sum of {others} kg m² about the other axes, and no body has a \
+                     moment of inertia above the sum of the other two",
                     high[i],
                     ["x", "y", "z"][i],
                 ))
@@ -270,14 +271,14 @@ impl Tolerances {
         Ok(())
     }
 
-    /// Makes of a scene that of one run, and says what was drawn.
+    /// Draws the values of a run and changes the scene to them. Returns the drawn values.
     pub fn apply(&self, scene: &mut Scene, seed: u64) -> Drawn {
         let mut all = Vec::new();
-        for (Quantity { name, axes, figures, set, .. }, tolerance) in self.named() {
-            let drawn: Vec<f64> = figures(scene)
+        for (Quantity { name, axes, values, set, .. }, tolerance) in self.named() {
+            let drawn: Vec<f64> = values(scene)
                 .into_iter()
                 .enumerate()
-                .map(|(axis, figure)| figure + tolerance.draw(name, seed, axis, figure))
+                .map(|(axis, value)| value + tolerance.draw(name, seed, axis, value))
                 .collect();
             set(scene, &drawn);
             all.extend(axes.iter().zip(drawn).map(|(axis, value)| (format!("{name}{axis}"), value)));
@@ -297,7 +298,7 @@ mod tests {
         Scene::parse("spread", &format!("{BARE}{lines}\n")).unwrap()
     }
 
-    /// Every quantity, with this bound and distribution, `percent` where it has a figure.
+    /// Returns lines that name each quantity with this bound and distribution, in percent where the scene has a value.
     fn every(bound: f64, distribution: &str) -> String {
         [
             ("mass_kg", "_percent"),
@@ -321,29 +322,29 @@ mod tests {
     }
 
     fn drawn(scene: &Scene, seed: u64) -> Drawn {
-        scene.of_run(seed).1
+        scene.for_run(seed).1
     }
 
     #[test]
-    fn every_quantity_is_drawn_within_its_bound_and_reaches_it() {
+    fn draws_stay_within_the_bound_and_come_near_it() {
         for distribution in ["uniform", "normal"] {
             let scene = scene(&every(5.0, distribution));
             let middle = drawn(&self::scene(&every(0.0, distribution)), 0);
             assert_eq!(middle.len(), 26);
-            let (mut least, mut most) = (vec![f64::INFINITY; 26], vec![f64::NEG_INFINITY; 26]);
+            let (mut min, mut max) = (vec![f64::INFINITY; 26], vec![f64::NEG_INFINITY; 26]);
             for seed in 0..3_000 {
                 for (i, (_, value)) in drawn(&scene, seed).into_iter().enumerate() {
-                    (least[i], most[i]) = (least[i].min(value), most[i].max(value));
+                    (min[i], max[i]) = (min[i].min(value), max[i].max(value));
                 }
             }
-            for (i, (name, figure)) in middle.iter().enumerate() {
+            for (i, (name, value)) in middle.iter().enumerate() {
                 let bound = match name.as_str() {
                     name if name.starts_with("cg_offset_m") => 5e-3,
-                    _ if *figure == 0.0 => 5.0,
-                    _ => 0.05 * figure,
+                    _ if *value == 0.0 => 5.0,
+                    _ => 0.05 * value,
                 };
-                // Of 3,000 draws some 20 are between 2.4 and 3 σ.
-                for end in [figure - least[i], most[i] - figure] {
+                // About 40 of 3,000 normal draws are beyond 2.4 σ, which is 0.8 of the bound.
+                for end in [value - min[i], max[i] - value] {
                     assert!(end <= bound * (1.0 + 1e-12) && end > 0.8 * bound, "{name}: {end} of {bound}");
                 }
             }
@@ -351,9 +352,9 @@ mod tests {
     }
 
     #[test]
-    fn distributions_have_the_deviations_that_they_state() {
+    fn draws_have_the_documented_standard_deviation() {
         // Uniform on ±b: b/√3. Normal with σ = b/3 cut at 3 σ: 0.9866 σ, as 1 − 2·3 φ(3)/(2Φ(3) − 1) of σ².
-        for (distribution, of_bound) in [("uniform", 1.0 / libm::sqrt(3.0)), ("normal", 0.986_6 / 3.0)] {
+        for (distribution, expected) in [("uniform", 1.0 / libm::sqrt(3.0)), ("normal", 0.986_6 / 3.0)] {
             let scene = scene(&format!("mass_kg = {{ {distribution} = 0.065 }}"));
             let runs = 20_000;
             let mut squares = 0.0;
@@ -363,12 +364,12 @@ mod tests {
             }
             let deviation = libm::sqrt(squares / runs as f64) / 0.065;
             // Five standard errors of a deviation from 20,000 draws: 5/√40,000.
-            assert!((deviation / of_bound - 1.0).abs() < 0.025, "{distribution}: {deviation}");
+            assert!((deviation / expected - 1.0).abs() < 0.025, "{distribution}: {deviation}");
         }
     }
 
     #[test]
-    fn a_quantity_moves_no_other_draw_and_no_effect() {
+    fn quantity_changes_no_other_draw_and_no_effect() {
         let lines = every(5.0, "normal");
         let all = drawn(&scene(&lines), 7);
         for line in lines.lines() {
@@ -376,38 +377,38 @@ mod tests {
             assert!(!alone.is_empty());
             assert!(alone.iter().all(|one| all.contains(one)), "{line}");
         }
-        // Nothing drawn is nothing changed, though all its effects are there: the noise is that of the scene itself.
+        // Deviations of 0 change nothing, although all their effects are built: the noise is that of the scene.
         let nothing = scene(&every(0.0, "uniform"));
         let [nothing, hover] =
             [&nothing, &Scene::load("hover").unwrap()].map(|scene| Flight::new(scene, 7).run(&mut ()));
         assert_eq!(nothing, hover);
-        // And what is drawn flies.
+        // A drawn value changes the flight.
         assert_ne!(Flight::new(&scene("arm_m = { uniform = 0.01 }"), 7).run(&mut ()).digest, hover.digest);
     }
 
     #[test]
-    fn flight_code_and_pilot_know_only_the_scenes_figures() {
+    fn flight_code_and_pilot_keep_the_values_of_the_scene() {
         let scene = scene(&every(5.0, "uniform"));
-        let of_run = scene.of_run(3).0;
-        assert_eq!(of_run.config.params.airframe, scene.config.params.airframe);
-        assert_ne!(of_run.vehicle, scene.vehicle);
+        let run_scene = scene.for_run(3).0;
+        assert_eq!(run_scene.config.params.airframe, scene.config.params.airframe);
+        assert_ne!(run_scene.vehicle, scene.vehicle);
     }
 
     #[test]
-    fn rotors_pull_with_their_own_thrust_and_turn_with_the_same_torque() {
+    fn each_rotor_has_its_own_thrust_and_all_the_same_torque() {
         let scene = scene("thrust_coefficient_n_s2 = { uniform_percent = 10 }");
-        let (of_run, drawn) = scene.of_run(11);
+        let (run_scene, drawn) = scene.for_run(11);
         let mut vehicle = crate::dynamics::Vehicle::at_rest(
-            of_run.vehicle,
-            of_run.mount(),
-            of_run.vehicle_effects(11, 1e3),
+            run_scene.vehicle,
+            run_scene.mount(),
+            run_scene.vehicle_effects(11, 1e3),
             1e-3,
         );
         let high = crate::dynamics::State { position: vec3(0.0, 0.0, -100.0), ..*vehicle.state() };
         let speed = 200.0;
         vehicle.set_state(high, [speed; 4]);
         let [b1, b2, b3, b4] = [0, 1, 2, 3].map(|i| drawn[i].1);
-        // Eqs 4-7: lift, roll, pitch and yaw of four rotors of their own.
+        // Eqs 4-7 with a thrust coefficient for each rotor: lift, roll, pitch and yaw.
         let square = speed * speed;
         let lift = -(b1 + b2 + b3 + b4) * square / 0.65;
         let lever = 0.23 * std::f64::consts::FRAC_1_SQRT_2;
@@ -420,7 +421,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_wrong_is_said_in_a_line() {
+    fn errors_are_one_line_with_the_field() {
         for (line, wanted) in [
             ("mas_kg = { uniform = 0.1 }", "(did you mean `mass_kg`?)"),
             ("mass_kg = { unifrom = 0.1 }", "(did you mean `uniform`?)"),
@@ -432,15 +433,18 @@ mod tests {
                 "tolerances.mass_kg.normal_percent = -1: must be from 0 to 50 %",
             ),
             ("arm_m = { uniform = nan }", "tolerances.arm_m.uniform = NaN: must be from 0 to 0.115 m"),
-            ("gyro_scale_ppm = { uniform_percent = 1 }", "must be uniform or normal: there is no figure"),
-            ("inertia_kg_m2 = { uniform_percent = 8 }", "no body has more about one than about both others"),
+            ("gyro_scale_ppm = { uniform_percent = 1 }", "must be uniform or normal: the scene has no value"),
+            (
+                "inertia_kg_m2 = { uniform_percent = 8 }",
+                "no body has a moment of inertia above the sum of the other two",
+            ),
         ] {
-            let said = Scene::parse("spread", &format!("{BARE}{line}\n")).unwrap_err().to_string();
-            assert!(said.contains(wanted), "{line}: {said}");
+            let error = Scene::parse("spread", &format!("{BARE}{line}\n")).unwrap_err().to_string();
+            assert!(error.contains(wanted), "{line}: {error}");
         }
-        let lagless = "[scene]\nduration_s = 1.0\nseed = 1\nvehicle = \"os4\"\nimu = \"paper\"\n[tolerances]\n\
+        let without_lag = "[scene]\nduration_s = 1.0\nseed = 1\nvehicle = \"os4\"\nimu = \"paper\"\n[tolerances]\n\
                        motor_lag_tau_s = { uniform_percent = 10 }\n";
-        let said = Scene::parse("spread", lagless).unwrap_err().to_string();
-        assert!(said.contains("the scene has no lag: name effects.vehicle.motor_lag"), "{said}");
+        let error = Scene::parse("spread", without_lag).unwrap_err().to_string();
+        assert!(error.contains("needs effects.vehicle.motor_lag"), "{error}");
     }
 }

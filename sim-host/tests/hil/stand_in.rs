@@ -1,48 +1,48 @@
-//! A board that speaks the link with a real flight controller behind it, as the firmware does, and some that do not.
+//! A stand-in for a board: it serves the link with a real flight controller, as the firmware does, or with a fault.
 
 use flight_core::FlightController;
 use flight_core::esc::EscParams;
 use flight_core::sample::{Health, Input};
 use hil_link::{Decoder, Done, MAX_FRAME, Order, Received, Started, Step, ToBoard, ToHost, encode};
 
-/// How a board behaves.
+/// Behaviour of a board.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Habit {
-    /// As it should.
+pub enum Behaviour {
+    /// Works correctly.
     Good,
-    /// Is gone after so many steps.
+    /// Ends after this many steps.
     DiesAfter(u32),
-    /// Answers no more after so many steps.
+    /// Stops answering after this many steps, and sleeps.
     SilentAfter(u32),
-    /// Answers no more after so many steps, and computes.
+    /// Stops answering after this many steps, and computes.
     BusyAfter(u32),
-    /// Is reset after so many steps, by its watchdog, and forgets the step.
+    /// Is reset by its watchdog after this many steps, and loses the step.
     ResetAfter(u32),
     /// Is reset at every step.
-    ResetsForEver,
-    /// Flips a bit in every so many-th answer.
+    ResetsAlways,
+    /// Flips a bit in every n-th answer.
     Damages(u32),
-    /// Sends every so many-th answer twice.
+    /// Sends every n-th answer twice.
     Repeats(u32),
-    /// Does not send every so many-th answer.
+    /// Does not send every n-th answer.
     Loses(u32),
-    /// Sends every so many-th answer after the next.
+    /// Sends every n-th answer after the following one.
     Delays(u32),
-    /// Sends bytes, and no frame.
-    Babbles,
-    /// Takes no configuration.
+    /// Sends bytes that are no frame.
+    SendsNoise,
+    /// Refuses the configuration.
     Refuses,
-    /// Speaks version 9.
+    /// Uses version 9 of the link.
     OtherVersion,
-    /// Sends messages that there are none of.
+    /// Sends a message of an unknown type.
     OtherMessages,
-    /// Answers every step with the time of the one before.
+    /// Answers every step with the time of the previous one.
     WrongTime,
 }
 
 /// The board, without the wire.
 pub struct Board {
-    habit: Habit,
+    behaviour: Behaviour,
     decoder: Decoder,
     controller: Option<FlightController>,
     watchdog_reset: bool,
@@ -50,19 +50,19 @@ pub struct Board {
     received: Received,
     steps: u32,
     delayed: Vec<u8>,
-    /// What it has sent and nobody has taken.
+    /// Bytes sent, until the host reads them.
     pub sent: Vec<u8>,
-    /// It is gone.
+    /// Whether the board has ended.
     pub dead: bool,
-    /// The flight is over.
+    /// Whether the host has ended the flight.
     pub ended: bool,
 }
 
 impl Board {
-    /// A board that has just been switched on.
-    pub fn new(habit: Habit) -> Self {
+    /// Creates a board that has just been switched on.
+    pub fn new(behaviour: Behaviour) -> Self {
         let mut board = Self {
-            habit,
+            behaviour,
             decoder: Decoder::default(),
             controller: None,
             watchdog_reset: false,
@@ -78,18 +78,20 @@ impl Board {
         board
     }
 
-    /// Steps taken.
+    /// Returns the number of steps.
     pub fn steps(&self) -> u32 {
         self.steps
     }
 
     fn get_ready(&mut self) {
-        match self.habit {
+        match self.behaviour {
             // Version 9, a message of one byte, number 0.
-            Habit::OtherVersion => self.sent.extend(by_hand(&[9, 1, 0, 0, 0, 0, 0, 2])),
-            Habit::Babbles => self.sent.extend([7; 100_000]),
-            // The 200th kind of message.
-            Habit::OtherMessages => self.sent.extend(by_hand(&[hil_link::VERSION, 2, 0, 0, 0, 0, 0, 200, 1])),
+            Behaviour::OtherVersion => self.sent.extend(encode_by_hand(&[9, 1, 0, 0, 0, 0, 0, 2])),
+            Behaviour::SendsNoise => self.sent.extend([7; 100_000]),
+            // Message type 200, which does not exist.
+            Behaviour::OtherMessages => {
+                self.sent.extend(encode_by_hand(&[hil_link::VERSION, 2, 0, 0, 0, 0, 0, 200, 1]))
+            }
             _ => self.answer(&ToHost::Ready(Started { watchdog_reset: self.watchdog_reset })),
         }
     }
@@ -101,8 +103,8 @@ impl Board {
         self.get_ready();
     }
 
-    /// Takes bytes from the host.
-    pub fn take(&mut self, bytes: &[u8]) {
+    /// Receives bytes from the host.
+    pub fn receive_bytes(&mut self, bytes: &[u8]) {
         for byte in bytes {
             let Some(found) = self.decoder.push(*byte) else { continue };
             let found = found.ok().and_then(|packet| Some((packet.sequence, packet.message::<ToBoard>()?)));
@@ -127,7 +129,7 @@ impl Board {
         }
         self.sequence = Some(sequence);
         match message {
-            ToBoard::Start(_) if self.habit == Habit::Refuses => self.answer(&ToHost::Refused),
+            ToBoard::Start(_) if self.behaviour == Behaviour::Refuses => self.answer(&ToHost::Refused),
             ToBoard::Start(config) => {
                 self.controller = FlightController::new(&config).ok();
                 self.answer(&ToHost::Started);
@@ -141,12 +143,12 @@ impl Board {
         let Some(controller) = &mut self.controller else { return self.get_ready() };
         self.steps += 1;
         let steps = self.steps;
-        match self.habit {
-            Habit::DiesAfter(n) if steps > n => return self.dead = true,
-            Habit::SilentAfter(n) if steps > n => return,
-            Habit::BusyAfter(n) if steps > n => while !std::hint::black_box(self.dead) {},
-            Habit::ResetAfter(n) if steps == n + 1 => return self.reset(),
-            Habit::ResetsForEver => return self.reset(),
+        match self.behaviour {
+            Behaviour::DiesAfter(n) if steps > n => return self.dead = true,
+            Behaviour::SilentAfter(n) if steps > n => return,
+            Behaviour::BusyAfter(n) if steps > n => while !std::hint::black_box(self.dead) {},
+            Behaviour::ResetAfter(n) if steps == n + 1 => return self.reset(),
+            Behaviour::ResetsAlways => return self.reset(),
             _ => {}
         }
         let Step { time_us, imu, mag, rc, battery } = *step;
@@ -155,7 +157,11 @@ impl Board {
         let stop_us = EscParams::STANDARD.stop_us;
         let driven = output.permit.is_some();
         let done = Done {
-            time_us: if self.habit == Habit::WrongTime { time_us.saturating_sub(1_000) } else { time_us },
+            time_us: if self.behaviour == Behaviour::WrongTime {
+                time_us.saturating_sub(1_000)
+            } else {
+                time_us
+            },
             state: output.state,
             event: output.event,
             driven,
@@ -167,12 +173,12 @@ impl Board {
         };
         let before = self.sent.len();
         self.answer(&ToHost::Done(done));
-        let now = |every: u32| steps.is_multiple_of(every);
-        match self.habit {
-            Habit::Damages(n) if now(n) => self.sent[before + 9] ^= 0x10,
-            Habit::Repeats(n) if now(n) => self.sent.extend_from_within(before..),
-            Habit::Loses(n) if now(n) => self.sent.truncate(before),
-            Habit::Delays(n) if now(n) => self.delayed = self.sent.split_off(before),
+        let is_turn = |every: u32| steps.is_multiple_of(every);
+        match self.behaviour {
+            Behaviour::Damages(n) if is_turn(n) => self.sent[before + 9] ^= 0x10,
+            Behaviour::Repeats(n) if is_turn(n) => self.sent.extend_from_within(before..),
+            Behaviour::Loses(n) if is_turn(n) => self.sent.truncate(before),
+            Behaviour::Delays(n) if is_turn(n) => self.delayed = self.sent.split_off(before),
             _ => self.sent.append(&mut self.delayed),
         }
     }
@@ -184,13 +190,14 @@ impl Board {
     }
 }
 
-/// The frame of a packet: CRC and COBS bit by bit and byte by byte.
-fn by_hand(packet: &[u8]) -> Vec<u8> {
+/// Encodes a packet as a frame, with an implementation of CRC and COBS that is independent of `hil-link`.
+fn encode_by_hand(packet: &[u8]) -> Vec<u8> {
     let crc = !packet.iter().fold(u32::MAX, |crc, byte| {
         let shift = |crc: u32| if crc & 1 != 0 { crc >> 1 ^ 0xedb8_8320 } else { crc >> 1 };
         (0..8).fold(crc ^ u32::from(*byte), |crc, _| shift(crc))
     });
-    let whole = [packet, &crc.to_le_bytes()].concat();
-    let blocks = whole.split(|byte| *byte == 0).flat_map(|block| [&[block.len() as u8 + 1], block].concat());
+    let with_crc = [packet, &crc.to_le_bytes()].concat();
+    let blocks =
+        with_crc.split(|byte| *byte == 0).flat_map(|block| [&[block.len() as u8 + 1], block].concat());
     blocks.chain([0]).collect()
 }

@@ -1,4 +1,4 @@
-//! The study `arithmetic`: the functions of the fast loop, in four kinds.
+//! The study `arithmetic`: the functions of the fast loop, in four implementations.
 
 use std::f32::consts::PI;
 use std::hint::black_box;
@@ -6,14 +6,14 @@ use std::hint::black_box;
 use flight_core::arithmetic;
 use twofloat::TwoFloat;
 
-use super::timing::quickest;
+use super::timing::shortest_ns;
 use super::{Axis, Options, Progress, Setting, Study, m4};
 use input::InputError;
 
 /// A function of one number, or of two.
 type Function = fn(f32, f32) -> f64;
 
-/// Who computes, as `m4.toml` names them.
+/// The implementations, by their names in `m4.toml`.
 const KINDS: [&str; 4] = ["flight-core", "libm f32", "micromath", "libm f64"];
 
 struct Problem {
@@ -24,7 +24,7 @@ struct Problem {
     /// In the order of [`KINDS`].
     functions: [Function; 4],
     exact: fn(f32, f32) -> TwoFloat,
-    /// Whether the error counts in proportion to the value.
+    /// Whether the error is relative to the value.
     relative: bool,
     inputs: fn(usize) -> Vec<(f32, f32)>,
 }
@@ -33,13 +33,13 @@ fn two(x: f32) -> TwoFloat {
     TwoFloat::from(f64::from(x))
 }
 
-/// Every so-many-th float of [2⁻²⁰, π], with both signs: dense where floats are.
+/// Returns every `stride`-th float of [2⁻²⁰, π] with both signs: dense where floats are dense.
 fn angles(stride: usize) -> Vec<(f32, f32)> {
     let bits = libm::powf(2.0, -20.0).to_bits()..=PI.to_bits();
     bits.step_by(stride).map(f32::from_bits).flat_map(|x| [(x, 0.0), (-x, 0.0)]).collect()
 }
 
-/// Points all around, with radii from 1e-6 to 1e6.
+/// Returns points in all directions, with radii from 1e-6 to 1e6.
 fn points(stride: usize) -> Vec<(f32, f32)> {
     let count = 180_000_000 / stride;
     (0..count)
@@ -51,7 +51,7 @@ fn points(stride: usize) -> Vec<(f32, f32)> {
         .collect()
 }
 
-/// Every so-many-th float of [2⁻²⁰, 2²⁰].
+/// Returns every `stride`-th float of [2⁻²⁰, 2²⁰].
 fn positive(stride: usize) -> Vec<(f32, f32)> {
     let bits = libm::powf(2.0, -20.0).to_bits()..=libm::powf(2.0, 20.0).to_bits();
     bits.step_by(stride).map(|bits| (f32::from_bits(bits), 0.0)).collect()
@@ -116,16 +116,16 @@ const PROBLEMS: [Problem; 4] = [
     },
 ];
 
-/// Spacing of the floats at a value.
+/// Returns the spacing of the f32 numbers at a value.
 fn ulp(value: f64) -> f64 {
     let nearest = (value.abs() as f32).max(f32::MIN_POSITIVE);
     f64::from(f32::from_bits(nearest.to_bits() + 1)) - f64::from(nearest)
 }
 
-/// Largest error, absolute or in proportion, and in units of the last place of an f32.
+/// Returns the largest error, absolute or relative, and in units of the last place of an f32.
 fn worst(problem: &Problem, function: Function, inputs: &[(f32, f32)], exact: &[TwoFloat]) -> (f64, f64) {
     inputs.iter().zip(exact).fold((0.0, 0.0), |(error, ulps), (&(a, b), exact)| {
-        // The difference of two near numbers, then what the first half of the exact one leaves out.
+        // First the difference to the high part, which is nearly exact, then the low part.
         let off = ((function(a, b) - exact.hi()) - exact.lo()).abs();
         // −π and π are the same angle.
         let off = if problem.name == "atan2" { off.min((off - std::f64::consts::TAU).abs()) } else { off };
@@ -145,11 +145,11 @@ pub fn study(options: &Options, progress: Progress) -> Result<Study, InputError>
     for (n, problem) in PROBLEMS.iter().enumerate() {
         let inputs = (problem.inputs)(stride);
         let exact: Vec<TwoFloat> = inputs.iter().map(|&(a, b)| (problem.exact)(a, b)).collect();
-        // As many as stay in the cache.
+        // Only as many inputs as fit into the cache.
         let timed = &inputs[..inputs.len().min(2000)];
         for (kind, function) in KINDS.iter().zip(problem.functions) {
             let (error, ulps) = worst(problem, function, &inputs, &exact);
-            let time = quickest(options, || {
+            let time = shortest_ns(options, || {
                 let function = black_box(function);
                 black_box(timed.iter().map(|&(a, b)| function(a, b)).sum::<f64>());
             });
@@ -173,12 +173,12 @@ pub fn study(options: &Options, progress: Progress) -> Result<Study, InputError>
     Ok(Study {
         name: "arithmetic",
         title: "Functions of the fast loop",
-        about: "The error is the largest over the range: of sine and cosine as components of a unit vector, so in \
-                rad; of the square root in proportion to it. In units of the last place it is large where the \
-                value is near 0, which an attitude does not feel."
+        about: "The error is the largest over the range: for sine and cosine as components of a unit vector, so in rad; for \
+                the square root relative to its value. In units of the last place it is large where the value is near 0, \
+                which does not affect an attitude."
             .into(),
-        reference: "Double-double arithmetic (the crate twofloat: 22 digits and more), itself tested against published \
-                    digits; none of the four computes with it."
+        reference: "Double-double arithmetic (the crate twofloat, at least 22 digits), which is itself tested against \
+                    published digits. None of the four implementations uses it."
             .into(),
         per: "a call",
         axis: Axis::M4,
@@ -187,13 +187,12 @@ pub fn study(options: &Options, progress: Progress) -> Result<Study, InputError>
         remarks: vec![
             "`flight-core` computes sine and cosine together: its instructions for one are those for both."
                 .into(),
-            "Times include a call through a pointer, which is the most of them: on this machine it hardly matters \
-             which one is called."
+            "Times include a call through a pointer, which takes most of them: on this machine the implementations hardly \
+             differ."
                 .into(),
-            "`libm f32` is exact to the last place because it computes in f64, in software on this chip: it costs \
-             25 times as much as `flight-core` for an error three times smaller. The square root is a single \
-             instruction for `flight-core`, and correctly rounded: `libm f32` and `micromath` are both dearer, and \
-             no better."
+            "`libm f32` is exact to the last place because it computes in f64, which this chip does in software: it costs \
+             25 times as much as `flight-core` for a third of the error. For `flight-core` the square root is a single \
+             instruction, and correctly rounded: `libm f32` and `micromath` cost more and are not more accurate."
                 .into(),
         ],
     })
@@ -204,8 +203,8 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_reference_has_the_published_digits() {
-        // sin 1, cos 1 (OEIS A049469, A049470), atan 2 (A105199), √2 (A002193): the nearest f64, and the rest.
+    fn reference_has_the_published_digits() {
+        // sin 1, cos 1 (OEIS A049469, A049470), atan 2 (A105199), √2 (A002193): the nearest f64, and the remainder.
         for (ours, digits, rest) in [
             (two(1.0).sin(), 0.841_470_984_807_896_5, 1.776_845_092_935_536e-18),
             (two(1.0).cos(), 0.540_302_305_868_139_8, -4.760_954_612_604_417e-17),
@@ -218,7 +217,7 @@ mod tests {
     }
 
     #[test]
-    fn the_errors_are_those_that_the_kernels_document() {
+    fn kernel_errors_match_their_documentation() {
         let options = Options { quick: true, timed: false, recordings: None };
         let study = study(&options, &|_| ()).unwrap();
         let error = |problem: usize, kind: &str| {
@@ -228,7 +227,7 @@ mod tests {
         assert!(error(0, "flight-core").1 <= 2.0 && error(1, "flight-core").1 <= 2.0);
         assert!(error(2, "flight-core").0 <= 4e-7);
         assert!(error(3, "flight-core").1 <= 0.5 && error(3, "libm f32").1 <= 0.5);
-        // And no judge is so blind that it takes everybody for good.
+        // The reference tells poor and good implementations apart.
         assert!(error(0, "micromath").0 > 1e-4 && error(0, "libm f64").0 < 2e-16);
     }
 }

@@ -1,7 +1,8 @@
-//! The study `attitude`: from gyroscope samples alone to an attitude.
+//! The study `attitude`: attitude from gyroscope samples alone.
 //!
-//! The algorithms are those of the crate `alternatives`, which the emulated board counts. A sample is what a
-//! perfect gyroscope integrated since the last one, so that all error is the algorithm's and its numbers'.
+//! The algorithms are those of the crate `alternatives`; the instructions of the same code are counted on the emulated
+//! core. A sample is the exact integral of the rates since the last one, so that the whole error is that of the
+//! algorithm and its number format.
 
 use std::f64::consts::TAU;
 use std::hint::black_box;
@@ -11,7 +12,7 @@ use alternatives::integration::{Coning, EulerAngles};
 use flight_core::geometry::{Quaternion, Vec3, vec3};
 
 use super::integrator::top::{Top, tops};
-use super::timing::quickest;
+use super::timing::shortest_ns;
 use super::{Axis, Options, Progress, Setting, Study, m4};
 use input::InputError;
 use sim_host::attitude_error::AttitudeError;
@@ -21,7 +22,7 @@ const SECONDS: u32 = 10;
 /// Rate of the flight code's step, Hz.
 const STEP_HZ: u32 = 1000;
 
-/// Coning motion (Goodman and Robinson 1958): the attitude is a turn by `a` about an axis that goes round in the
+/// Coning motion (Goodman and Robinson 1958): the attitude is a rotation by `a` about an axis that rotates in the
 /// world's y-z plane at `w`.
 #[derive(Clone, Copy)]
 struct Cone {
@@ -38,7 +39,7 @@ enum Motion {
 }
 
 impl Motion {
-    /// The true attitude.
+    /// Returns the true attitude.
     fn attitude(&self, t_s: f64) -> Quaternion<f64> {
         match self {
             Self::Cone(Cone { a, w }) => {
@@ -49,7 +50,7 @@ impl Motion {
         }
     }
 
-    /// The integral of the body rates from `t_s` over `h_s`, rad.
+    /// Returns the integral of the body rates from `t_s` over `h_s`, rad.
     fn turn(&self, t_s: f64, h_s: f64) -> Vec3<f64> {
         match self {
             Self::Cone(Cone { a, w }) => {
@@ -86,7 +87,7 @@ fn by_euler_angles<T: Real>(from: Quaternion<f64>, turns: &[Vec3<T>]) -> Quatern
     algorithm.attitude()
 }
 
-/// An algorithm: its name in `m4.toml`, and the samples of one attitude.
+/// The algorithms: the name in `m4.toml`, and the number of samples for one attitude.
 const ALGORITHMS: [(&str, u32); 4] =
     [("Euler angles", 1), ("1 sample", 1), ("2 samples", 2), ("3 samples", 3)];
 
@@ -99,7 +100,7 @@ fn integrated<T: Real>(algorithm: usize, from: Quaternion<f64>, turns: &[Vec3<T>
     }
 }
 
-/// Error at the end, rad, and time of it all, ns.
+/// Returns the error at the end, rad, and the run time of the whole integration, ns.
 fn judged<T: Real + Into<f64>>(
     options: &Options,
     algorithm: usize,
@@ -111,7 +112,7 @@ fn judged<T: Real + Into<f64>>(
     let from = motion.attitude(0.0);
     let [w, x, y, z] = integrated(algorithm, from, &turns).to_array().map(T::into);
     let error = AttitudeError::between(Quaternion::new(w, x, y, z), motion.attitude(end_s)).total_rad;
-    let time = quickest(options, || {
+    let time = shortest_ns(options, || {
         black_box(integrated(algorithm, from, black_box(&turns)));
     });
     (error, time)
@@ -161,16 +162,16 @@ pub fn study(options: &Options, progress: Progress) -> Result<Study, InputError>
             progress((n as f64 + (k + 1) as f64 / rates.len() as f64) / problems.len() as f64);
         }
     }
-    // The lines of the plot, one after the other.
+    // Sorted by problem, so that each problem's settings follow each other.
     settings.sort_by_key(|s: &Setting| problems.iter().position(|(problem, _)| *problem == s.problem));
     Ok(Study {
         name: "attitude",
         title: "Attitude from gyroscope samples",
-        about: "The error is the angle between the attitude after 10 s and the true one, from what a perfect \
-                gyroscope integrates between samples. Coning is what a shaken vehicle does: the axis of rotation \
-                itself goes round."
+        about: "The error is the angle between the computed and the true attitude after 10 s, from samples of a perfect \
+                gyroscope that integrates between them. A shaken vehicle moves in coning motion: the axis of rotation \
+                itself rotates."
             .into(),
-        reference: "Coning motion has its attitude in closed form (Goodman and Robinson 1958), the free top in \
+        reference: "Closed forms of the attitude: for coning motion by Goodman and Robinson (1958), for the free top by \
                     elliptic functions."
             .into(),
         per: "a second of flight",
@@ -178,16 +179,16 @@ pub fn study(options: &Options, progress: Progress) -> Result<Study, InputError>
         axis_title: "instructions per second on the Cortex-M4F",
         settings,
         remarks: vec![
-            "In the tumbling top f32 stops at 1e-6 to 2e-5 rad, the rounding of thousands of samples: from there on more \
-             samples a second make it worse, not better. f64 goes on, but in software on this chip: it takes 70 to 100 \
-             times as many instructions."
+            "For the tumbling top f32 reaches 1e-6 to 2e-5 rad, the rounding of thousands of samples; beyond that, more \
+             samples a second increase the error. f64 has no such limit here, but this chip computes it in software, with 70 to \
+             100 times as many instructions."
                 .into(),
-            "The algorithms of two and three samples turn the attitude only once in as many samples: cheaper and \
-             better, but late. The controller wants an attitude at every step of 1 kHz, and of the quaternions that \
-             give it that, one sample at 1 kHz costs least. In this coning, violent for a vehicle in flight, it drifts \
-             by a²ω β²/12, half a milliradian in 10 s: as much as a bias of the gyroscope of 0.003 °/s."
+            "The algorithms of two and three samples update the attitude only once in as many samples: this is cheaper and \
+             more accurate, but later. The controller needs an attitude at every step of 1 kHz. Of the quaternion algorithms \
+             that deliver it, one sample at 1 kHz costs least. In this coning motion, which is strong for a vehicle in flight, \
+             it drifts by a²ω β²/12, half a milliradian in 10 s: as much as a gyroscope bias of 0.003 °/s."
                 .into(),
-            "Euler angles are of the first order, and fail where the top's axis passes the vertical.".into(),
+            "Euler angles are a method of first order, and fail where the top's axis passes the vertical.".into(),
         ],
     })
 }
@@ -197,7 +198,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn drift_is_that_of_the_closed_form() {
+    fn coning_drift_matches_the_closed_form() {
         // One sample at 500 Hz: sin²a/2 (β − sin β)/h, with β = ω h.
         let cone = Cone { a: 1.0_f64.to_radians(), w: TAU * 20.0 };
         let motion = Motion::Cone(cone);

@@ -1,8 +1,9 @@
 //! The study `estimator`: attitude from all three sensors.
 //!
-//! Every estimator gets the same samples: those of a recording, or those that a simulated flight's sensors gave,
-//! calibrated, and through the scene's prefilter but for those that are low-passes themselves, as in flight. As in [`sim_host::estimate`], `flight` has its gyroscope zeroed at rest, as
-//! it has before arming, and the others take it as it is.
+//! Every estimator gets the same samples: those of a recording, or those of the sensors in a simulated flight,
+//! calibrated. As in flight, samples pass the scene's prefilter, except for estimators that are low-passes themselves.
+//! As in [`sim_host::estimate`], `flight` gets a gyroscope zeroed at rest, as before arming; the others get it as it
+//! is.
 
 use std::hint::black_box;
 use std::path::Path;
@@ -15,7 +16,7 @@ use flight_core::prefilter::{Biquad, Prefilter};
 use nalgebra::{Quaternion as Parts, UnitQuaternion, Vector3};
 use uf_ahrs::{Ahrs, Madgwick, MadgwickParams, Mahony, MahonyParams, Vqf, VqfParams};
 
-use super::timing::quickest;
+use super::timing::shortest_ns;
 use super::{Axis, Options, Progress, Setting, Study, m4};
 use input::InputError;
 use sim_host::attitude_error::{AttitudeError, AttitudeRmse};
@@ -24,7 +25,7 @@ use sim_host::flight::{Flight, Observer, StepView};
 use sim_host::log::{AccelSign, Axes, Frame, Log};
 use sim_host::scene::Scene;
 
-/// Recordings of BROAD (Laidig, Caruso, Cereatti, Seel, *Data* 6(7):72, 2021), and what the plots call them.
+/// Recordings of BROAD (Laidig, Caruso, Cereatti, Seel, *Data* 6(7):72, 2021), and their names in the plots.
 const RECORDINGS: [(&str, &str); 4] = [
     ("02_undisturbed_slow_rotation_B.csv", "recording 02, slow rotation"),
     ("07_undisturbed_fast_rotation_B.csv", "recording 07, fast rotation"),
@@ -34,28 +35,28 @@ const RECORDINGS: [(&str, &str); 4] = [
 /// Simulated flights.
 const SCENES: [(&str, &str); 2] = [("steps", "simulated, steps"), ("shaky-frame", "simulated, shaky-frame")];
 
-/// What the estimators see, and the truth where it counts.
+/// The samples of a flight or a recording, and the truth where the error counts.
 struct Record {
     problem: &'static str,
     samples: Vec<Sample>,
-    /// The same as a prefilter leaves them; `None` without one.
+    /// The same samples after the prefilter; `None` without one.
     prefiltered: Option<Vec<Sample>>,
     truth: Vec<Option<Quaternion<f64>>>,
-    /// What turns magnetic into true north, rad.
+    /// Declination, which turns magnetic into true north, rad.
     declination_rad: f64,
 }
 
-/// An estimator under way.
+/// A running estimator.
 enum Filter {
     Ours(Box<Estimator>),
-    /// Of the crate `uf-ahrs`: axes forward, left, up, the world's north, west, up.
+    /// From the crate `uf-ahrs`: body axes forward, left, up; world axes north, west, up.
     Theirs {
         filter: Box<dyn Ahrs>,
         started: bool,
     },
 }
 
-/// Who takes part.
+/// An estimator that is compared.
 #[derive(Clone, Copy)]
 enum Entrant {
     Ours(EstimatorParams),
@@ -64,7 +65,8 @@ enum Entrant {
     Vqf,
 }
 
-/// All presets of flight-core, the paper's filter on a quaternion, and others' filters with their own defaults.
+/// Returns all presets of flight-core, the paper's filter on a quaternion, and filters of others with their own
+/// defaults.
 fn entrants() -> Vec<(&'static str, Entrant)> {
     let mut list: Vec<(&'static str, Entrant)> =
         EstimatorParams::PRESETS.iter().map(|&(name, params)| (name, Entrant::Ours(params))).collect();
@@ -74,16 +76,16 @@ fn entrants() -> Vec<(&'static str, Entrant)> {
     list
 }
 
-/// Between forward-right-down and forward-left-up, and so between north-east-down and north-west-up.
-fn turned_over(v: Vec3<f32>) -> Vector3<f32> {
+/// Converts between forward-right-down and forward-left-up, and so between north-east-down and north-west-up.
+fn with_y_and_z_reversed(v: Vec3<f32>) -> Vector3<f32> {
     Vector3::new(v.x, -v.y, -v.z)
 }
 
 impl Entrant {
-    /// Whether it needs no prefilter: see [`Estimator::is_a_low_pass`], which is as true of VQF.
-    fn is_a_low_pass(self) -> bool {
+    /// Whether it needs no prefilter: see [`Estimator::is_low_pass`], which is as true of VQF.
+    fn is_low_pass(self) -> bool {
         match self {
-            Self::Ours(params) => Estimator::new(&params).is_ok_and(|estimator| estimator.is_a_low_pass()),
+            Self::Ours(params) => Estimator::new(&params).is_ok_and(|estimator| estimator.is_low_pass()),
             Self::Mahony | Self::Madgwick => false,
             Self::Vqf => true,
         }
@@ -92,7 +94,7 @@ impl Entrant {
 
 impl Filter {
     fn new(entrant: Entrant, samples: &[Sample]) -> Result<Self, InputError> {
-        // The first has no time before it; theirs take one rate for all.
+        // The first sample has no interval before it. The filters of `uf-ahrs` take one rate for all samples.
         let seconds: f64 = samples.iter().map(|s| f64::from(s.dt_s)).sum();
         let count = samples.len().saturating_sub(1).max(1) as f64;
         let fields = samples.iter().filter(|s| s.mag.is_some()).count().saturating_sub(1).max(1) as f64;
@@ -121,7 +123,7 @@ impl Filter {
             Self::Ours(estimator) => estimator.update(s.gyro, s.accel, s.mag, s.dt_s),
             Self::Theirs { filter, started } => {
                 if !*started {
-                    // All begin at what the first sample shows, as ours do.
+                    // They start at the attitude that the first sample shows, as Kestrel's filters do.
                     *started = true;
                     if let Ok(mut first) = Estimator::new(&EstimatorParams::FLIGHT) {
                         first.update(s.gyro, s.accel, s.mag, 0.0);
@@ -129,9 +131,9 @@ impl Filter {
                         filter.set_orientation(UnitQuaternion::from_quaternion(Parts::new(w, x, -y, -z)));
                     }
                 }
-                let (gyro, accel) = (turned_over(s.gyro), turned_over(s.accel));
+                let (gyro, accel) = (with_y_and_z_reversed(s.gyro), with_y_and_z_reversed(s.accel));
                 match s.mag {
-                    Some(mag) => filter.update(gyro, accel, turned_over(mag)),
+                    Some(mag) => filter.update(gyro, accel, with_y_and_z_reversed(mag)),
                     None => filter.update_imu(gyro, accel),
                 };
             }
@@ -170,15 +172,15 @@ fn recording(directory: &Path, file: &str, problem: &'static str) -> Result<Reco
     })
 }
 
-/// Writes down what the sensors of a flight gave, calibrated and prefiltered.
-struct Writer {
+/// Records the samples of a flight's sensors, calibrated and prefiltered.
+struct SampleRecorder {
     models: [SensorModel; 3],
     prefilters: [Prefilter; 3],
     last_us: Option<u64>,
     record: Record,
 }
 
-impl Observer for Writer {
+impl Observer for SampleRecorder {
     fn step(&mut self, view: &StepView) {
         let Some(imu) = &view.input.imu else { return };
         let [gyro, accel, mag] = &self.models;
@@ -198,7 +200,7 @@ impl Observer for Writer {
             mag: sample.mag.map(|field| mag_filter.step(field)),
             ..sample
         });
-        // What counts is the flight, not the lying still before and after.
+        // The error counts in flight, not at rest before and after it.
         self.record.truth.push(view.output.driven.then_some(view.truth.attitude));
     }
 }
@@ -215,7 +217,7 @@ fn flown(name: &str, problem: &'static str) -> Result<Record, InputError> {
             p.prefilter_cutoff_hz.map(|cutoff_hz| Biquad::butterworth(cutoff_hz, rate_hz)).transpose();
         design.map(Prefilter::new).map_err(|error| InputError::new(error.to_string()))
     };
-    let mut writer = Writer {
+    let mut recorder = SampleRecorder {
         models: [
             model(SensorFields::GYRO, p.gyro, calibration.gyro)?,
             model(SensorFields::ACCEL, p.accel, calibration.accel)?,
@@ -231,11 +233,11 @@ fn flown(name: &str, problem: &'static str) -> Result<Record, InputError> {
             declination_rad: f64::from(p.estimator.declination_rad),
         },
     };
-    Flight::new(&scene, scene.seed).run(&mut writer);
-    Ok(writer.record)
+    Flight::new(&scene, scene.seed).run(&mut recorder);
+    Ok(recorder.record)
 }
 
-/// RMSE over what counts, degrees.
+/// Returns the RMSE over the samples whose truth counts, degrees.
 fn rmse_deg(entrant: Entrant, record: &Record, samples: &[Sample]) -> Result<Option<f64>, InputError> {
     let (sin, cos) = libm::sincos(0.5 * record.declination_rad);
     let to_true_north = Quaternion { w: cos, v: vec3(0.0, 0.0, sin) };
@@ -253,7 +255,7 @@ fn rmse_deg(entrant: Entrant, record: &Record, samples: &[Sample]) -> Result<Opt
 /// Runs the study.
 ///
 /// # Errors
-/// Recordings that cannot be read.
+/// A recording cannot be read.
 pub fn study(options: &Options, progress: Progress) -> Result<Study, InputError> {
     let mut records = Vec::new();
     for (name, problem) in SCENES {
@@ -274,15 +276,15 @@ pub fn study(options: &Options, progress: Progress) -> Result<Study, InputError>
         for (k, &(name, entrant)) in entrants.iter().enumerate() {
             let samples = match name {
                 "flight" => &zeroed,
-                _ if entrant.is_a_low_pass() => &record.samples[..],
+                _ if entrant.is_low_pass() => &record.samples[..],
                 _ => prefiltered,
             };
             let figure = m4::figure(&format!("estimator {name} 9-axis"));
-            // A second's worth of the recording is timed; making a filter costs next to nothing beside it.
+            // Only the first 2,000 samples are timed; the construction of a filter takes hardly any time beside them.
             let few = &samples[..samples.len().min(2000)];
             let fresh = || Filter::new(entrant, samples);
             let mut failed = None;
-            let time = quickest(options, || match fresh() {
+            let time = shortest_ns(options, || match fresh() {
                 Ok(mut filter) => {
                     black_box(few).iter().for_each(|s| filter.step(s));
                     black_box(filter.attitude());
@@ -311,33 +313,32 @@ pub fn study(options: &Options, progress: Progress) -> Result<Study, InputError>
         }
     }
     let mut remarks = vec![
-        "More instructions do not always buy less error: in free flight the accelerometer shows tilt only through drag, \
-         and what leans on it (both readings of the paper, Mahony and Madgwick with their defaults) is pulled \
-         towards level, whatever it costs. With τ = 10 s and a gyroscope zeroed at rest, `flight` \
-         hardly leans on it; `robust` averages it in the world's axes, where the flight's own accelerations cancel."
+        "More instructions do not always give less error. In free flight the accelerometer shows tilt only through drag. \
+         Estimators that rely on it (both readings of the paper, Mahony and Madgwick with their defaults) are pulled \
+         towards level at any cost in instructions. With τ = 10 s and a gyroscope zeroed at rest, `flight` hardly relies on it; \
+         `robust` averages it in world axes, where the flight's own accelerations cancel."
             .to_owned(),
-        "Bytes of flash of Kestrel's own are those of all its presets together: which one runs is a parameter."
+        "Bytes of flash of Kestrel's own estimators are those of all presets together: a parameter selects the preset."
             .to_owned(),
-        "Instructions are those of an update with all three sensors; the simulated magnetometer is sampled at every \
-         tenth, so that a flight takes fewer."
+        "Instructions are those of an update with all three sensors. The simulated magnetometer is sampled in every tenth \
+         update, so that a flight takes fewer."
             .to_owned(),
     ];
     if options.recordings.is_none() {
         remarks.insert(
             0,
-            "No recordings were given (KESTREL_DATA): these are simulated flights only, and real sensors are worse \
-             in ways that nobody has thought of."
+            "No recordings were given (KESTREL_DATA): these are simulated flights only. Real sensors have errors that the \
+             simulation does not model."
                 .to_owned(),
         );
     }
     Ok(Study {
         name: "estimator",
         title: "Estimators of attitude",
-        about: "The error is that of the whole attitude, RMSE over all samples in motion. All get the same samples, \
-                those of the simulated flights through the scene's prefilter of 30 Hz, but for `robust` and VQF, which are \
-                low-passes themselves; `flight` has its gyroscope zeroed at rest, as it has before arming, the others \
-                take it as it is. Mahony, Madgwick and VQF are those of the crate uf-ahrs with their default \
-                parameters."
+        about: "The error is that of the complete attitude, RMSE over all samples in motion. All estimators get the same \
+                samples. Those of simulated flights pass the scene's prefilter of 30 Hz, except for `robust` and VQF, which are \
+                low-passes themselves. `flight` gets a gyroscope zeroed at rest, as before arming; the others get it as it is. \
+                Mahony, Madgwick and VQF are those of the crate uf-ahrs with their default parameters."
             .into(),
         reference: "Recordings: optical motion capture (BROAD). Simulated flights: the simulated truth.".into(),
         per: "an update",
@@ -352,9 +353,9 @@ pub fn study(options: &Options, progress: Progress) -> Result<Study, InputError>
 mod tests {
     use super::*;
 
-    /// Level, heading 30° east of magnetic north, still: every estimator, in its own axes, says so.
+    /// At rest with a heading of 30° and a roll of 20°, every estimator, in its own axes, shows that attitude.
     #[test]
-    fn everybody_agrees_on_a_still_attitude() {
+    fn all_estimators_agree_on_a_still_attitude() {
         let yaw = 30.0_f64.to_radians();
         let truth = Quaternion { w: (0.5 * yaw).cos(), v: vec3(0.0, 0.0, (0.5 * yaw).sin()) };
         let roll = 20.0_f64.to_radians();
@@ -378,9 +379,9 @@ mod tests {
         }
     }
 
-    /// Turned at a known rate from there, every estimator follows, and not the other way round.
+    /// Rotated at a known rate, every estimator follows in the right direction.
     #[test]
-    fn everybody_turns_the_same_way() {
+    fn all_estimators_follow_a_known_rate() {
         let rate = vec3(0.3, -0.2, 0.4);
         let angle = |t: f64| {
             let half = 0.5 * rate.norm() * t;

@@ -1,18 +1,18 @@
-//! What things cost on the Cortex-M4F: instructions counted on the emulated core.
+//! Costs on the Cortex-M4F: instructions counted on the emulated core, and bytes of flash.
 //!
-//! The figures are committed in `m4.toml`, which a test measures anew on the emulator and keeps true.
+//! The figures are committed in `m4.toml`. A test measures them again on the emulator and keeps the file up to date.
 
 use std::collections::BTreeMap;
 use std::sync::LazyLock;
 
 use serde::Deserialize;
 
-/// What one thing costs.
+/// The cost of one function.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize)]
 pub struct Figure {
-    /// Instructions, mean over its inputs.
+    /// Mean number of instructions over its inputs.
     pub instructions: f64,
-    /// Bytes of flash that it adds, if they were measured.
+    /// Bytes of flash that it takes, if they were measured.
     pub flash_bytes: Option<u32>,
 }
 
@@ -21,12 +21,12 @@ static FIGURES: LazyLock<BTreeMap<String, Figure>> = LazyLock::new(|| {
     toml::from_str(text).unwrap_or_else(|error| panic!("m4.toml: {error}"))
 });
 
-/// The figure of this name; `None` if it has not been measured.
+/// Returns the figure of this name; `None` if it has not been measured.
 pub fn figure(name: &str) -> Option<Figure> {
     FIGURES.get(name).copied()
 }
 
-/// The instructions of this name; `None` if they have not been counted.
+/// Returns the instructions of this name; `None` if they have not been counted.
 pub fn instructions(name: &str) -> Option<f64> {
     figure(name).map(|figure| figure.instructions)
 }
@@ -36,7 +36,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_figure_is_a_count() {
+    fn every_figure_is_a_plausible_count() {
         assert!(!FIGURES.is_empty());
         for (name, figure) in FIGURES.iter() {
             assert!(figure.instructions > 0.0 && figure.instructions < 1e6, "{name}: {figure:?}");

@@ -1,20 +1,20 @@
-//! The command `cost`: what accuracy costs in time.
+//! The command `cost`: error against cost.
 //!
-//! A study sweeps the settings of one part of the flight code or of the simulator, and judges each against a
-//! reference that is independent of it: a closed form, a second method, published figures, or the simulated
-//! truth. The result is error against cost, with the settings marked that no other beats in both (the Pareto
-//! front).
+//! A study sweeps the settings of one part of the flight code or of the simulator. It judges each setting against an
+//! independent reference: a closed form, a second method, published figures, or the simulated truth. The result is
+//! error against cost. Settings that no other setting beats in both are marked: they form the Pareto front.
 //!
-//! Three kinds of cost, never mixed:
+//!
+//! There are three kinds of cost, which are never mixed:
 //!
 //! | cost | from | deterministic |
 //! |---|---|---|
-//! | instructions on the Cortex-M4F | `m4.toml`, counted on the emulated core and kept true by a test | yes |
-//! | a cost of its own: group delay, share of the processor | computed | yes |
-//! | ns on this machine | the quickest of several batches | no |
+//! | instructions on the Cortex-M4F | `m4.toml`, counted on the emulated core and checked by a test | yes |
+//! | a cost particular to the study: group delay, share of the processor | computed | yes |
+//! | ns on this machine | the shortest of several runs | no |
 //!
-//! Errors are computed before anything is timed, and are the same in every run: `studies/tests/cost_baseline.toml`
-//! holds them.
+//! Errors are computed, not timed, and are the same in every run. `studies/tests/cost_baseline.toml` records them, and
+//! a test compares them.
 
 pub mod integrator;
 pub mod m4;
@@ -39,18 +39,18 @@ use input::check;
 pub use page::{page, plot};
 pub use table::{csv, text, timing_csv};
 
-/// How thoroughly, and with what.
+/// Options of a run of the studies.
 #[derive(Clone, Debug)]
 pub struct Options {
-    /// Fewer settings, seeds and batches.
+    /// Fewer settings, seeds and repetitions.
     pub quick: bool,
-    /// Whether to time anything on this machine.
+    /// Whether to measure times on this machine.
     pub timed: bool,
-    /// The directory that has recordings in `broad/`.
+    /// The directory whose subdirectory `broad/` holds recordings.
     pub recordings: Option<PathBuf>,
 }
 
-/// What a study holds its errors against.
+/// The cost against which a study shows its errors.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Axis {
     /// [`Setting::host_ns`].
@@ -64,17 +64,17 @@ pub enum Axis {
 /// One setting of a sweep.
 #[derive(Clone, Debug, Default)]
 pub struct Setting {
-    /// What was to be solved: settings are compared with others of the same problem.
+    /// The problem. Settings are compared with others of the same problem.
     pub problem: &'static str,
-    /// Which of them are one line in the plot: the method, without its step or rate.
+    /// The line in the plot: the method, without its step or rate.
     pub series: String,
-    /// The setting, by a name that no other of its problem has.
+    /// The setting's name, unique within its problem.
     pub setting: String,
-    /// How wrong it is; `None` if there is nothing to judge, as after a crash.
+    /// The error; `None` if there is nothing to judge, as after a crash.
     pub error: Option<f64>,
     /// Unit of the error.
     pub error_unit: &'static str,
-    /// Time on this machine, ns, of what [`Study::per`] says.
+    /// Time on this machine for one [`Study::per`], ns.
     pub host_ns: Option<f64>,
     /// The part of `host_ns` that this setting adds to the one before it.
     pub host_ns_added: Option<f64>,
@@ -82,22 +82,22 @@ pub struct Setting {
     pub m4_instructions: Option<f64>,
     /// Bytes of flash on the Cortex-M4F.
     pub flash_bytes: Option<u32>,
-    /// More about it, names with units.
+    /// Further figures; their names end with the unit.
     pub also: Vec<(&'static str, f64)>,
-    /// Whether this is what Kestrel does unless told otherwise.
+    /// Whether this is Kestrel's default.
     pub default: bool,
-    /// Whether no other setting of its problem is better in one of error and cost without being worse in the
-    /// other.
+    /// Whether it is on the Pareto front: no other setting of its problem is better in one of error and cost and at
+    /// least as good in the other.
     pub pareto: bool,
 }
 
 impl Setting {
-    /// A further figure.
+    /// Returns a further figure.
     pub fn figure(&self, name: &str) -> Option<f64> {
         self.also.iter().find(|(other, _)| *other == name).map(|(_, value)| *value)
     }
 
-    /// Its cost, if it is known.
+    /// Returns its cost, if it is known.
     pub fn cost(&self, axis: Axis) -> Option<f64> {
         match axis {
             Axis::Host => self.host_ns,
@@ -107,31 +107,31 @@ impl Setting {
     }
 }
 
-/// A sweep and its outcome.
+/// A study: a sweep over settings and its results.
 #[derive(Clone, Debug)]
 pub struct Study {
     /// Its name on the command line.
     pub name: &'static str,
     /// Its title.
     pub title: &'static str,
-    /// What is compared, and what the error is.
+    /// What is compared, and how the error is defined.
     pub about: String,
-    /// What the error is against, and why that is independent of what is judged.
+    /// The reference of the error, and why it is independent of what is judged.
     pub reference: String,
-    /// What one cost is for: "an update", "a simulated second".
+    /// The unit of work to which costs refer: "an update", "a simulated second".
     pub per: &'static str,
-    /// What the errors are held against.
+    /// The cost on the horizontal axis.
     pub axis: Axis,
-    /// The same in words, with its unit.
+    /// Title of the horizontal axis, with its unit.
     pub axis_title: &'static str,
     /// The settings, problem by problem.
     pub settings: Vec<Setting>,
-    /// Where more cost does not buy less error, and why; what was left out.
+    /// Remarks: where more cost does not give less error, and why; what was left out.
     pub remarks: Vec<String>,
 }
 
 impl Study {
-    /// The problems, in order.
+    /// Returns the problems, in order.
     pub fn problems(&self) -> Vec<&'static str> {
         let mut problems: Vec<&'static str> = Vec::new();
         for setting in &self.settings {
@@ -142,7 +142,7 @@ impl Study {
         problems
     }
 
-    /// The settings of a problem.
+    /// Returns the settings of a problem.
     pub fn of(&self, problem: &str) -> impl Iterator<Item = &Setting> {
         self.settings.iter().filter(move |setting| setting.problem == problem)
     }
@@ -156,23 +156,23 @@ impl Study {
     }
 }
 
-/// Whether no setting of the same problem has less error at no more cost, or less cost at no more error.
+/// Returns whether no setting of the same problem has less error at no more cost, or less cost at no more error.
 pub fn on_front(setting: &Setting, all: &[Setting], cost: impl Fn(&Setting) -> Option<f64>) -> bool {
-    let Some((error, price)) = setting.error.zip(cost(setting)) else { return false };
+    let Some((error, own_cost)) = setting.error.zip(cost(setting)) else { return false };
     !all.iter().filter(|other| other.problem == setting.problem).any(|other| {
-        other.error.zip(cost(other)).is_some_and(|(other_error, other_price)| {
-            other_error <= error && other_price <= price && (other_error < error || other_price < price)
+        other.error.zip(cost(other)).is_some_and(|(other_error, other_cost)| {
+            other_error <= error && other_cost <= own_cost && (other_error < error || other_cost < own_cost)
         })
     })
 }
 
-/// Told how far a study has come, 0 to 1.
+/// A callback that receives the progress of a study, from 0 to 1.
 pub type Progress<'a> = &'a dyn Fn(f64);
 
-type Maker = fn(&Options, Progress) -> Result<Study, InputError>;
+type StudyFunction = fn(&Options, Progress) -> Result<Study, InputError>;
 
-/// The studies in order, each with its share of the time, %.
-const STUDIES: [(&str, u64, Maker); 7] = [
+/// The studies in order, each with its share of the run time, %.
+const STUDIES: [(&str, u64, StudyFunction); 7] = [
     ("integrator", 20, integrator::study),
     ("attitude", 10, attitude::study),
     ("estimator", 15, estimator::study),
@@ -182,15 +182,15 @@ const STUDIES: [(&str, u64, Maker); 7] = [
     ("sensors", 30, sensors::study),
 ];
 
-/// The names of the studies, in order.
+/// Returns the names of the studies, in order.
 pub fn names() -> impl Iterator<Item = &'static str> {
     STUDIES.iter().map(|(name, ..)| *name)
 }
 
-/// Whether there are studies of these names.
+/// Checks that there are studies of these names.
 ///
 /// # Errors
-/// A name that is none, with the nearest one.
+/// A name is unknown; the error gives the nearest known name.
 pub fn check_names(wanted: &[String]) -> Result<(), InputError> {
     match wanted.iter().find(|name| !names().any(|known| known == *name)) {
         Some(unknown) => Err(check::unknown("STUDY", unknown, names())),
@@ -201,7 +201,7 @@ pub fn check_names(wanted: &[String]) -> Result<(), InputError> {
 /// Runs the studies of these names, or all of them.
 ///
 /// # Errors
-/// A name that is none, with the nearest one; recordings that cannot be read.
+/// A name is unknown; a recording cannot be read.
 pub fn run(
     wanted: &[String],
     options: &Options,
@@ -212,11 +212,11 @@ pub fn run(
         .iter()
         .filter(|(name, ..)| wanted.is_empty() || wanted.iter().any(|wanted| wanted == name))
         .collect();
-    let whole: u64 = chosen.iter().map(|(_, share, _)| share).sum();
+    let total: u64 = chosen.iter().map(|(_, share, _)| share).sum();
     let mut done = 0;
     let mut studies = Vec::new();
     for (name, share, make) in chosen {
-        let at = |part: f64| progress(name, (done as f64 + part * *share as f64) / whole as f64);
+        let at = |part: f64| progress(name, (done as f64 + part * *share as f64) / total as f64);
         at(0.0);
         let mut study = make(options, &at)?;
         study.mark_front();
@@ -226,7 +226,7 @@ pub fn run(
     Ok(studies)
 }
 
-/// What `cost --json` prints.
+/// Returns what `cost --json` prints.
 pub fn to_json(studies: &[Study]) -> Value {
     let setting = |s: &Setting| {
         let mut row = json!({
@@ -263,13 +263,13 @@ mod tests {
     }
 
     #[test]
-    fn the_front_is_what_nothing_beats() {
+    fn front_holds_settings_that_no_other_beats() {
         let mut all = vec![
             setting("a", 1.0, 1.0),
             setting("a", 0.5, 2.0),
-            // More of both than the first.
+            // More error and more cost than the first.
             setting("a", 1.5, 1.5),
-            // As the second, and dearer.
+            // The error of the second, at more cost.
             setting("a", 0.5, 3.0),
             setting("a", 0.1, 9.0),
             // Another problem.
@@ -281,7 +281,7 @@ mod tests {
     }
 
     #[test]
-    fn an_unknown_study_is_answered_with_the_nearest() {
+    fn unknown_study_is_refused_with_the_nearest_name() {
         let options = Options { quick: true, timed: false, recordings: None };
         let error = run(&["integrater".into()], &options, &|_, _| ()).unwrap_err().to_string();
         assert!(error.starts_with("STUDY = integrater: must be one of integrator, "), "{error}");

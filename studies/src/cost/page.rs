@@ -1,4 +1,4 @@
-//! The studies on a page: one HTML file with everything in it, and each plot by itself.
+//! The studies as one self-contained HTML page, and each plot by itself.
 
 use maud::{Markup, html};
 
@@ -7,12 +7,12 @@ use super::{Axis, Setting, Study};
 use sim_host::chart::{Chart, Label, Line, Panel, Stroke, colour};
 use sim_host::report::document;
 
-/// Fits a README and a page, px.
+/// Width of a plot, px; it fits a README and the page.
 const WIDTH: f64 = 900.0;
 const COLOURS: [&str; 6] =
     [colour::BLUE, colour::VERMILLION, colour::GREEN, colour::ORANGE, colour::PURPLE, colour::SKY];
 
-/// Error against cost of the problems of a study for which `wanted`, with both axes logarithmic.
+/// Plots error against cost for the problems that `wanted` selects, with both axes logarithmic.
 pub fn plot(study: &Study, (axis, axis_title): (Axis, &'static str), wanted: impl Fn(&str) -> bool) -> Chart {
     let problems: Vec<&str> = study.problems().into_iter().filter(|problem| wanted(problem)).collect();
     let panels: Vec<Panel> =
@@ -37,12 +37,12 @@ fn panel(study: &Study, problem: &str, axis: Axis, legend: bool) -> Panel {
         let of: Vec<&Setting> = settings.iter().filter(|s| s.series == series).copied().collect();
         let mut points: Vec<(f64, f64)> = of.iter().filter_map(|s| place(s)).collect();
         points.sort_by(|a, b| a.0.total_cmp(&b.0));
-        let lone = !has_lines(study);
+        let single_points = !has_lines(study);
         for s in &of {
             if let Some(at) = place(s)
-                && (s.default || (lone && (s.pareto || settings.len() <= 9)))
+                && (s.default || (single_points && (s.pareto || settings.len() <= 9)))
             {
-                let text = match (lone, s.default) {
+                let text = match (single_points, s.default) {
                     (true, true) => format!("{} (default)", s.setting),
                     (true, false) => s.setting.clone(),
                     (false, _) => "default".into(),
@@ -54,15 +54,15 @@ fn panel(study: &Study, problem: &str, axis: Axis, legend: bool) -> Panel {
                 });
             }
         }
-        let label = if legend && !lone { series } else { "" };
-        let stroke = if lone { Stroke { width: 0.0, ..stroke } } else { stroke };
+        let label = if legend && !single_points { series } else { "" };
+        let stroke = if single_points { Stroke { width: 0.0, ..stroke } } else { stroke };
         lines.push(Line { dots: true, ..Line::new(label, stroke, points) });
     }
     let unit = settings.first().map_or("", |s| s.error_unit);
     Panel { labels, ..Panel::new(problem, unit, 250.0, lines) }
 }
 
-/// Whether a series is a line, and not a single point.
+/// Returns whether a series is a line, and not a single point.
 fn has_lines(study: &Study) -> bool {
     let first = study.settings.first();
     first.is_some_and(|first| {
@@ -73,7 +73,7 @@ fn has_lines(study: &Study) -> bool {
     })
 }
 
-/// The series in order, each with its stroke: dashed from where the colours come round again.
+/// Returns the series in order, each with its stroke. Strokes are dashed once the colours repeat.
 fn series(study: &Study) -> Vec<(&str, Stroke)> {
     let mut list: Vec<(&str, Stroke)> = Vec::new();
     for s in &study.settings {
@@ -86,32 +86,32 @@ fn series(study: &Study) -> Vec<(&str, Stroke)> {
     list
 }
 
-/// The page.
+/// Returns the page.
 pub fn page(studies: &[Study]) -> String {
     let content = html! {
         header {
             p.kind { "Kestrel · error against cost" }
             h1 { "What accuracy costs" }
             p.about {
-                "Parts of the flight code and of the simulator, each swept over its settings and judged against a reference \
-                 that is independent of it."
-            }
-            p.facts {
-                "Grey band and bold: the Pareto front, settings that no other of the same problem beats in error and cost. \
-                 Black dot and “default”: what Kestrel does unless told otherwise. Errors and instructions are the same in \
-                 every run; times are this machine's."
+                "Parts of the flight code and of the simulator. Each is swept over its settings and judged against an independent \
+                 reference."
+                }
+                p.facts {
+                    "Grey band and bold: the Pareto front, settings that no other setting of the problem beats in both error and cost. \
+                  Black dot and “default”: Kestrel's default. Errors and instructions are the same in every run; times are those of \
+                  this machine."
             }
         }
         @for study in studies { (section(study)) }
         footer {
-            "Instructions are counted on an emulated Cortex-M4F; a processor at 168 MHz is taken to need two cycles for \
-             each. Times are the quickest of several batches on the machine that made this page."
+            "Instructions are counted on an emulated Cortex-M4F. A processor at 168 MHz is assumed to need two cycles for each. \
+             Times are the shortest of several runs on the machine that made this page."
         }
     };
     document("What accuracy costs", include_str!("page.css"), &content)
 }
 
-/// Text with what stands in backticks as code.
+/// Renders text, with parts in backticks as code.
 fn prose(text: &str) -> Markup {
     html! {
         @for (k, part) in text.split('`').enumerate() {
@@ -156,7 +156,7 @@ fn table(study: &Study, problem: &str) -> Markup {
             caption {
                 (problem) " "
                 small {
-                    "error: " (unit) "; costs of " (study.per)
+                    "error: " (unit) "; costs for " (study.per)
                     @if rows.len() < count { "; " (rows.len()) " of " (count) " settings" }
                 }
             }
@@ -210,7 +210,7 @@ mod tests {
     }
 
     #[test]
-    fn a_page_escapes_and_has_every_setting() {
+    fn page_escapes_text_and_lists_every_setting() {
         let html = page(&[study()]);
         assert!(
             html.contains("A &amp; B") && html.contains("1 &lt; <code>2</code>") && html.contains("a &lt; b")
@@ -219,7 +219,7 @@ mod tests {
             assert!(html.contains(&format!("<td>{row}")), "{row}");
         }
         assert_eq!(html.matches("<tr class=\"front\">").count(), 3);
-        // A default, and an error of zero has no place on a logarithmic axis.
+        // The default is labelled. An error of zero has no place on a logarithmic axis.
         assert!(html.contains(">default</text>"));
         assert!(!html.contains("NaN") && !html.contains("inf"));
     }

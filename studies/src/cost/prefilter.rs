@@ -1,9 +1,9 @@
-//! The study `prefilter`: what a low-pass in front of the estimator takes away, and what it delays.
+//! The study `prefilter`: how much a low-pass before the estimator attenuates, and how much it delays.
 //!
-//! All figures follow from the impulse response of the filter as it runs, in f32: the power of white noise is
+//! All figures follow from the impulse response h of the filter as it runs, in f32. The power of white noise is
 //! multiplied by Σ h², a tone of frequency f by |Σ h e^(−jωk)|, and the delay at low frequency is Σ k h/Σ h
-//! samples. The phase margin is that of the rate and angle loop of [`ControlParams::OS4`], with the filter's
-//! own response in it.
+//! samples. The phase margin is that of the rate and angle loop with the gains of [`ControlParams::OS4`] and the
+//! filter's own response.
 
 use std::f64::consts::TAU;
 use std::hint::black_box;
@@ -14,16 +14,16 @@ use flight_core::control::ControlParams;
 use flight_core::geometry::{Vec3, vec3};
 use flight_core::prefilter::{Biquad, Prefilter};
 
-use super::timing::quickest;
+use super::timing::shortest_ns;
 use super::{Axis, Options, Progress, Setting, Study, m4};
 use input::InputError;
 use sim_host::dynamics::{GRAVITY, VehicleParams};
 
-/// Samples a second of the sensor.
+/// Sample rate of the sensor, Hz.
 const RATE_HZ: f64 = 1000.0;
-/// The response of the slowest filter has died away to f32 by then: 10 Hz, 4th order, 2 s.
+/// Length of the impulse response, samples: after 2 s that of the slowest filter (10 Hz, 4th order) is below f32.
 const LENGTH: usize = 2000;
-/// The motors' lag in the scenes that fly, s.
+/// The motors' lag in the flying scenes, s.
 const LAG_S: f64 = 0.05;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -103,7 +103,7 @@ fn ratio(a: Complex, (c, d): Complex) -> Complex {
     (x / square, y / square)
 }
 
-/// What the filter does to a tone of ω rad/s.
+/// Returns the filter's frequency response at ω rad/s.
 fn response(impulse: &[f64], w: f64) -> Complex {
     impulse.iter().enumerate().fold((0.0, 0.0), |(re, im), (k, h)| {
         let angle = w * k as f64 / RATE_HZ;
@@ -111,7 +111,7 @@ fn response(impulse: &[f64], w: f64) -> Complex {
     })
 }
 
-/// The loop broken at the rotors, as [`ControlParams::OS4`] has it:
+/// Returns the open loop at the rotors, with the gains of [`ControlParams::OS4`]:
 /// (P + I/s + D s + K (P + I/s)/s) F(s)/((1 + s LAG) s) at s = jω.
 fn open_loop(impulse: &[f64], w: f64) -> Complex {
     let gains = ControlParams::OS4;
@@ -121,13 +121,13 @@ fn open_loop(impulse: &[f64], w: f64) -> Complex {
     ratio(product(controller, response(impulse, w)), product((1.0, w * LAG_S), (0.0, w)))
 }
 
-/// Phase margin at the highest frequency at which the loop has a gain of 1, degrees.
+/// Returns the phase margin at the highest frequency at which the loop has a gain of 1, degrees.
 fn phase_margin_deg(impulse: &[f64]) -> f64 {
     let gain = |w: f64| {
         let (re, im) = open_loop(impulse, w);
         re * re + im * im
     };
-    // Down from where it certainly is below 1, then between the two neighbours.
+    // Search downwards from a frequency where the gain is certainly below 1, then bisect.
     let (mut low, mut high) = (500.0, 500.0);
     while gain(low) < 1.0 {
         high = low;
@@ -141,7 +141,7 @@ fn phase_margin_deg(impulse: &[f64]) -> f64 {
     180.0 + libm::atan2(im, re).to_degrees() - if im > 0.0 { 360.0 } else { 0.0 }
 }
 
-/// Two blades a rotor pass at twice the speed of hover, Hz: 72 for OS4.
+/// Returns the blade-passing frequency in hover, Hz: twice the rotor speed with two blades; 72 Hz for OS4.
 fn blade_passing_hz(vehicle: &VehicleParams) -> f64 {
     let hover = libm::sqrt(vehicle.mass_kg * GRAVITY / (4.0 * vehicle.thrust_coefficient));
     2.0 * hover / TAU
@@ -150,7 +150,7 @@ fn blade_passing_hz(vehicle: &VehicleParams) -> f64 {
 /// Runs the study.
 ///
 /// # Errors
-/// A cutoff that a filter refuses, which none of these is.
+/// A filter refuses a cutoff; this does not happen with these.
 pub fn study(options: &Options, progress: Progress) -> Result<Study, InputError> {
     let all = [10.0, 15.0, 20.0, 30.0, 45.0, 60.0, 90.0, 120.0];
     let cutoffs = if options.quick { &all[2..6] } else { &all[..] };
@@ -168,7 +168,7 @@ pub fn study(options: &Options, progress: Progress) -> Result<Study, InputError>
         let (re, im) = response(&impulse, blades);
         let figure = m4::figure(&format!("prefilter {}", kind.name()));
         const SAMPLES: u32 = 1000;
-        let time = quickest(options, || {
+        let time = shortest_ns(options, || {
             let mut bank = [filter; 3];
             for k in 0..SAMPLES {
                 let x = black_box(vec3(k as f32, 1.0, -1.0));
@@ -204,26 +204,26 @@ pub fn study(options: &Options, progress: Progress) -> Result<Study, InputError>
         name: "prefilter",
         title: "The prefilter of the sensors",
         about: format!(
-            "The error is what is left of a disturbance, RMS out over RMS in: of white noise, and of a tone at \
-             {:.0} Hz, where two blades a rotor pass in hover. The cost is the delay of the motion itself, and with \
-             it phase margin: without a filter the loop has {:.0}°.",
+            "The error is the remaining share of a disturbance, RMS out over RMS in: of white noise, and of a tone at \
+             {:.0} Hz, the blade-passing frequency with two blades in hover. The cost is the delay of the motion itself, \
+             which takes phase margin: without a filter the loop has {:.0}°.",
             blade_passing_hz(&VehicleParams::OS4),
             phase_margin_deg(&[1.0])
         ),
-        reference: "What went in. Each figure is taken from the impulse response of the filter that runs; tests \
-                    hold them against the closed forms of Butterworth's filters."
+        reference: "The input. Each figure is computed from the impulse response of the filter that runs; tests \
+                    compare them with the closed forms of Butterworth filters."
             .into(),
         per: "a sample of nine axes",
         axis: Axis::Also("group_delay_ms"),
         axis_title: "group delay at low frequency, ms",
         settings: noise,
         remarks: vec![
-            "Against white noise the order hardly matters: for the same noise left, first and second order delay \
-             alike (their noise bandwidths are π/2 and π/(2√2) times the cutoff, their delays 1 and √2 over ω_c), \
-             the fourth delays more and costs twice the instructions. What a second order buys is the vibration, \
-             which white noise does not show."
+            "Against white noise the order hardly matters. For the same remaining noise, first and second order have the same \
+             delay (their noise bandwidths are π/2 and π/(2√2) times the cutoff, their delays 1 and √2 over ω_c). The \
+             fourth order delays more and costs twice the instructions. The second order has its advantage against vibration, \
+             which the white noise does not show."
                 .into(),
-            "`none` has no delay, and so no place on a logarithmic axis.".into(),
+            "`none` has no delay, and so no point on a logarithmic axis.".into(),
         ],
     })
 }
@@ -239,10 +239,10 @@ mod tests {
     }
 
     #[test]
-    fn delay_noise_and_tone_are_those_of_the_closed_forms() {
+    fn delay_noise_and_tone_match_the_closed_forms() {
         // Butterworth's analogue filter of order n: |H|² = 1/(1 + (ω/ω_c)^2n), noise bandwidth
         // (π/2n)/sin(π/2n) f_c, delay Σ 2 sin((2k+1)π/2n)/(2 ω_c) over its poles. The bilinear transform maps
-        // ω to 2 f_s tan(ω/2f_s): next to nothing at 10 Hz of 1 kHz.
+        // ω to 2 f_s tan(ω/2f_s): a negligible change at 10 Hz with 1 kHz.
         for (kind, n, delay) in [
             (Kind::Second, 2.0, std::f64::consts::SQRT_2),
             (Kind::Fourth, 4.0, 2.0 * ((PI / 8.0).sin() + (3.0 * PI / 8.0).sin())),
@@ -263,8 +263,8 @@ mod tests {
     }
 
     #[test]
-    fn the_loop_has_the_margin_that_the_gains_promise() {
-        // `ControlParams::OS4`: crosses over at 20 rad/s with 61° of phase margin.
+    fn loop_has_the_phase_margin_of_its_gains() {
+        // `ControlParams::OS4`: crossover at 20 rad/s with a phase margin of 61°.
         let h = impulse(Kind::Second, 30.0);
         assert!((phase_margin_deg(&h) - 61.0).abs() < 2.0, "{}", phase_margin_deg(&h));
         let (re, im) = open_loop(&h, 20.0);

@@ -1,8 +1,8 @@
-//! The study `rates`: how often to sample, estimate and control.
+//! The study `rates`: at which rate to sample, estimate and control.
 //!
-//! The world goes on in steps of 1/8 ms whatever the rate of the flight code, so that all rates fly through the
-//! same one; the flight code steps every so-many-th of them, with filters designed for its rate, and the
-//! rotors keep their command in between. Noise is set per √Hz, and does not change with the rate.
+//! The world is simulated in steps of 1/8 ms at every rate of the flight code, so that all rates fly in the same world.
+//! The flight code runs in every n-th of these steps, with filters designed for its rate. Between its steps the rotors
+//! keep their command. Noise is set per √Hz, and so does not change with the rate.
 
 use std::time::Instant;
 
@@ -18,26 +18,26 @@ use sim_host::flight::Autopilot;
 use sim_host::pilot::{FRAME_RATE_HZ, Pilot};
 use sim_host::scene::{DEFAULT_RATE_HZ, MAG_RATE_HZ, Scene};
 
-/// Steps of the world in a second.
+/// Steps of the simulated world in a second.
 const WORLD_HZ: u32 = 8000;
-/// The processor's clock, and cycles that an instruction is taken to need: `docs/timing.md`.
+/// The processor's clock, and the cycles that an instruction is assumed to need: see `docs/timing.md`.
 const CLOCK_HZ: f64 = 168e6;
 const CYCLES_PER_INSTRUCTION: f64 = 2.0;
 
-/// How far the vehicle goes another way.
+/// The problem whose error is the deviation of the true attitude from the flight at 8 kHz.
 const PATH: &str = "steps: true attitude against that at 8 kHz";
 
-/// What a flight came to.
+/// The result of a flight.
 struct Flown {
-    /// Estimated attitude against the truth over all steps, degrees; `None` after a crash.
+    /// RMSE of the estimated attitude over all steps, degrees; `None` after a crash.
     attitude_rmse_deg: Option<f64>,
-    /// True attitude every 10 ms, as the slowest rate steps.
+    /// True attitude every 10 ms, which is the step of the lowest rate.
     path: Vec<Quaternion<f64>>,
 }
 
 impl Flown {
-    /// How far the vehicle was from where it was in another flight, RMS, degrees.
-    fn apart_deg(&self, other: &Self) -> Option<f64> {
+    /// Returns the RMS angle between the true attitudes of two flights, degrees; `None` if one of them crashed.
+    fn difference_deg(&self, other: &Self) -> Option<f64> {
         let mut rmse = AttitudeRmse::default();
         let both = self.path.iter().zip(&other.path);
         both.for_each(|(one, other)| rmse.add(AttitudeError::between(*one, *other)));
@@ -71,10 +71,10 @@ fn fly(scene: &Scene, seed: u64, rate_hz: u32, world_hz: u32) -> Result<Flown, I
     for step in 0..(scene.duration_s * f64::from(rate_hz)).round() as u64 {
         let time_us = step * steps_us;
         let at_s = time_us as f64 * 1e-6;
-        let imu = sensors.imu(&vehicle.moment());
+        let imu = sensors.imu(&vehicle.snapshot());
         let due = |every_us: u64| time_us.is_multiple_of(every_us);
         let mag_due = due(1_000_000 / u64::from(MAG_RATE_HZ));
-        let mag = if mag_due { sensors.mag(&vehicle.moment()) } else { None };
+        let mag = if mag_due { sensors.mag(&vehicle.snapshot()) } else { None };
         let rc =
             if due(frame_us) { pilot.as_mut().map(|pilot| pilot.frame(at_s, vehicle.state())) } else { None };
         let battery = due(20_000).then_some(Battery { voltage_v: 11.1 });
@@ -83,8 +83,8 @@ fn fly(scene: &Scene, seed: u64, rate_hz: u32, world_hz: u32) -> Result<Flown, I
         let [w, x, y, z] = output.attitude.to_array().map(f64::from);
         let truth = vehicle.state();
         rmse.add(AttitudeError::between(Quaternion::new(w, x, y, z), truth.attitude));
-        let astray = pilot.as_ref().is_some_and(|p| (truth.position - p.target_m(at_s)).norm() > 20.0);
-        if !truth.is_finite() || truth.cos_tilt() < 0.0 || astray {
+        let is_lost = pilot.as_ref().is_some_and(|p| (truth.position - p.target_m(at_s)).norm() > 20.0);
+        if !truth.is_finite() || truth.cos_tilt() < 0.0 || is_lost {
             return Ok(Flown { attitude_rmse_deg: None, path });
         }
         if due(10_000) {
@@ -102,7 +102,7 @@ fn fly(scene: &Scene, seed: u64, rate_hz: u32, world_hz: u32) -> Result<Flown, I
 /// Runs the study.
 ///
 /// # Errors
-/// None of the built-in scenes that it flies.
+/// A built-in scene cannot be read; this does not happen.
 pub fn study(options: &Options, progress: Progress) -> Result<Study, InputError> {
     let all = [100, 200, 500, 1000, 2000, 4000, 8000];
     let (rates, seeds) = if options.quick { (&all[1..5], 2_u32) } else { (&all[..], 10) };
@@ -133,7 +133,7 @@ pub fn study(options: &Options, progress: Progress) -> Result<Study, InputError>
         progress(flights / (2.0 * f64::from(seeds) + 1.0) / rates.len() as f64);
     };
 
-    // Without noise all that differs between two rates is the rate.
+    // Without noise, two flights differ only by the rate.
     let mut quiet = Scene::load("steps")?;
     for noise in ["gyro.white_noise", "accel.white_noise", "mag.white_noise"] {
         quiet = quiet.without(noise).unwrap_or(quiet);
@@ -141,7 +141,7 @@ pub fn study(options: &Options, progress: Progress) -> Result<Study, InputError>
     let reference = fly(&quiet, 0, WORLD_HZ, WORLD_HZ)?;
     for &rate_hz in rates.iter().filter(|rate_hz| **rate_hz < WORLD_HZ) {
         let start = Instant::now();
-        let error = fly(&quiet, 0, rate_hz, WORLD_HZ)?.apart_deg(&reference);
+        let error = fly(&quiet, 0, rate_hz, WORLD_HZ)?.difference_deg(&reference);
         let time = start.elapsed().as_nanos() as f64 / quiet.duration_s;
         settings.push(row(PATH, rate_hz, error, "° RMS", options.timed.then_some(time)));
         count(1);
@@ -167,12 +167,12 @@ pub fn study(options: &Options, progress: Progress) -> Result<Study, InputError>
         name: "rates",
         title: "Rate of estimation and control",
         about: format!(
-            "Two errors. How far the true attitude is from that of the same flight at 8 kHz, without noise: that is the \
-             rate alone, by the delay of sampling and of holding a command. And the error of the estimated attitude \
-             over whole flights with noise, RMSE over {seeds} seeds; a rate at which a flight crashes has none. The share \
-             of the processor is instructions × 2 cycles at 168 MHz. Time is that of the simulation."
+            "There are two errors. The first is the difference of the true attitude from that of the same flight at 8 kHz, without \
+             noise: it shows the effect of the rate alone, through the delay of sampling and of holding a command. The second is \
+             the error of the estimated attitude over whole flights with noise, RMSE over {seeds} seeds; a rate at which a flight \
+             crashes has none. The share of the processor is instructions × 2 cycles at 168 MHz. Time is that of the simulation."
         ),
-        reference: "The simulated truth, in f64, in a world of 8,000 steps a second whatever the rate of the flight \
+        reference: "The simulated truth in f64, in a world of 8,000 steps a second at every rate of the flight \
                     code."
             .into(),
         per: "a second of flight",
@@ -180,10 +180,10 @@ pub fn study(options: &Options, progress: Progress) -> Result<Study, InputError>
         axis_title: "instructions per second on the Cortex-M4F",
         settings,
         remarks: vec![
-            "The error of the estimate does not fall with the rate: the 30 Hz prefilter delays it by 7.5 ms at every \
-             rate, noise is set per √Hz, and what is left is the scatter of the draws, which differ from rate to rate. \
-             Where the frame shakes, the accelerometer's vibration is the error, and the rate decides only what of it \
-             is aliased. What a higher rate buys is control: the flight itself is nearer to the ideal one."
+            "The error of the estimate does not fall with the rate. The 30 Hz prefilter delays it by 7.5 ms at every rate, and \
+             noise is set per √Hz. What remains is the scatter of the random draws, which differ from rate to rate. In the scene \
+             with a shaking frame the accelerometer's vibration is the error, and the rate only decides which part of it is \
+             aliased. A higher rate improves control: the flight itself is nearer to the ideal one."
                 .into(),
         ],
     })
@@ -195,7 +195,7 @@ mod tests {
     use sim_host::flight::Flight;
 
     #[test]
-    fn at_the_flights_own_rates_it_is_the_flight() {
+    fn study_at_the_default_rate_equals_the_flight() {
         let mut scene = Scene::load("hover").unwrap();
         scene.set_duration(16.0).unwrap();
         let flight = Flight::new(&scene, 3).run(&mut ());

@@ -1,7 +1,7 @@
 //! The study `sensors`: which effects a scene needs.
 //!
-//! A scene is flown with all its effects, with each left out, and then with the most telling ones alone, one
-//! after the other: how far is the outcome from that of the whole scene, and what does the simulation save?
+//! A scene is flown with all its effects, with each one left out, and with only the most influential ones, added one
+//! after the other. The error is how far the outcome is from that of the complete scene; the cost is simulation time.
 
 use super::{Axis, Options, Progress, Setting, Study};
 use input::InputError;
@@ -9,7 +9,7 @@ use sim_host::flight::Flight;
 use sim_host::plan;
 use sim_host::scene::Scene;
 
-/// Attitude error over the seeds, ° RMSE.
+/// Returns the attitude error over the seeds, ° RMSE.
 fn outcome(scene: &Scene, seeds: u64) -> f64 {
     let squares: f64 = (0..seeds)
         .map(|seed| Flight::new(scene, seed).run(&mut ()).attitude_rmse_deg)
@@ -21,14 +21,14 @@ fn outcome(scene: &Scene, seeds: u64) -> f64 {
 /// Runs the study.
 ///
 /// # Errors
-/// None of the built-in scenes that it flies.
+/// A built-in scene cannot be read; this does not happen.
 pub fn study(options: &Options, progress: Progress) -> Result<Study, InputError> {
     let all = ["windy-landing", "shaky-frame", "magnetic-site"];
     let (scenes, seeds) = if options.quick { (&all[..1], 2) } else { (&all[..], 20) };
     let mut settings = Vec::new();
     for (n, name) in scenes.iter().enumerate() {
         let scene = Scene::load(name)?;
-        let whole = outcome(&scene, seeds);
+        let complete = outcome(&scene, seeds);
         let effects = scene.effects();
         let at = |done: usize| {
             progress((n as f64 + 0.5 * done as f64 / effects.len() as f64) / scenes.len() as f64)
@@ -36,15 +36,15 @@ pub fn study(options: &Options, progress: Progress) -> Result<Study, InputError>
         let mut shares: Vec<(&'static str, f64)> = Vec::new();
         for effect in &effects {
             if let Some(without) = scene.without(effect) {
-                shares.push((effect, outcome(&without, seeds) - whole));
+                shares.push((effect, outcome(&without, seeds) - complete));
             }
             at(shares.len());
         }
-        // The most telling first; equal ones as the scene has them.
+        // The most influential first; equal ones in the scene's order.
         shares.sort_by(|a, b| b.1.abs().total_cmp(&a.1.abs()));
         let costs = if options.timed { plan::measure(&scene) } else { Vec::new() };
         let cost = |effect: &str| -> Option<f64> {
-            // A kind of fault may be there more than once.
+            // A kind of fault may occur more than once.
             let of = costs.iter().filter(|cost| cost.name == effect).map(|cost| cost.ns_per_step);
             options.timed.then(|| of.sum())
         };
@@ -61,8 +61,8 @@ pub fn study(options: &Options, progress: Progress) -> Result<Study, InputError>
                 problem: name,
                 series: (*name).into(),
                 setting: added.map_or("no effect".into(), |(effect, _)| format!("+ {effect}")),
-                error: Some((outcome(&fewer, seeds) - whole).abs()),
-                error_unit: "° off the whole scene's RMSE",
+                error: Some((outcome(&fewer, seeds) - complete).abs()),
+                error_unit: "° from the RMSE with all effects",
                 host_ns: total,
                 host_ns_added: own,
                 also: added.map(|(_, share)| ("change_if_left_out_deg", share)).into_iter().collect(),
@@ -76,11 +76,11 @@ pub fn study(options: &Options, progress: Progress) -> Result<Study, InputError>
         name: "sensors",
         title: "Which effects a scene needs",
         about: format!(
-            "Each scene is flown with {seeds} seeds. A row has its effect and those above it; the error is how far the \
-             attitude error (RMSE) then is from that of the whole scene. The last column is what leaving out this \
-             effect alone changes. No effect moves another's random draws, so that a difference is that effect's."
+            "Each scene is flown with {seeds} seeds. A row has its own effect and those of the rows above. The error is the \
+             difference of the attitude error (RMSE) from that of the scene with all effects. The last column is the change when \
+             this effect alone is left out. No effect alters another effect's random draws, so each difference belongs to its effect."
         ),
-        reference: "The same scene with all its effects on the same seeds; each flight is judged on the simulated \
+        reference: "The same scene with all its effects, on the same seeds. Each flight is judged on the simulated \
                     truth."
             .into(),
         per: "a step of the simulation",
@@ -88,9 +88,9 @@ pub fn study(options: &Options, progress: Progress) -> Result<Study, InputError>
         axis_title: "time on this machine, ns per step for the effects",
         settings,
         remarks: vec![
-            "Effects are added in the order of what each changes when it alone is left out. Two that belong together \
-             (a wind and the drag by which it acts, a hard iron and its calibration) may make the error rise until \
-             the second is there."
+            "Effects are added in the order of the change that each causes when it alone is left out. Two effects that belong \
+             together (a wind and the drag by which it acts, hard iron and its calibration) may make the error rise until the \
+             second one is added."
                 .into(),
         ],
     })

@@ -1,21 +1,21 @@
-//! The studies as tables: for people, and as CSV.
+//! The studies as text tables and as CSV.
 
 use std::fmt::Write as _;
 
 use super::{Setting, Study};
 
-/// Problems with no more settings than this are shown in full; of the others the front and the default.
-const SHORT: usize = 12;
+/// Problems with at most this many settings are shown in full; of the others the front and the default.
+const MAX_FULL: usize = 12;
 
-/// The settings of a problem that a table for people shows, and how many there are.
+/// Returns the settings of a problem that a text table shows, and the number of all its settings.
 pub(super) fn shown<'a>(study: &'a Study, problem: &'a str) -> (Vec<&'a Setting>, usize) {
     let all: Vec<&Setting> = study.of(problem).collect();
     let count = all.len();
-    let short = all.into_iter().filter(|s| count <= SHORT || s.pareto || s.default).collect();
+    let short = all.into_iter().filter(|s| count <= MAX_FULL || s.pareto || s.default).collect();
     (short, count)
 }
 
-/// Three significant digits.
+/// Formats a number with three significant digits.
 pub(super) fn number(value: Option<f64>) -> String {
     let Some(value) = value else { return "–".into() };
     if value == 0.0 {
@@ -30,17 +30,17 @@ pub(super) fn number(value: Option<f64>) -> String {
     }
 }
 
-/// Heading of a column, and the value of a setting in it.
+/// Heading of a column, and the function that gives a setting's value.
 type Column = (String, Box<dyn Fn(&Setting) -> Option<f64>>);
 
-/// The columns behind the setting; those without any value are left out.
+/// Returns the columns behind the setting, without those that have no value.
 pub(super) fn columns(study: &Study) -> Vec<Column> {
     let mut list: Vec<Column> = vec![
         ("error".into(), Box::new(|s| s.error)),
         ("M4 instructions".into(), Box::new(|s| s.m4_instructions)),
         ("flash, bytes".into(), Box::new(|s| s.flash_bytes.map(f64::from))),
         ("host, ns".into(), Box::new(|s| s.host_ns)),
-        ("of it added, ns".into(), Box::new(|s| s.host_ns_added)),
+        ("added by this, ns".into(), Box::new(|s| s.host_ns_added)),
     ];
     let mut further: Vec<&'static str> = Vec::new();
     for (name, _) in study.settings.iter().flat_map(|s| &s.also) {
@@ -55,7 +55,7 @@ pub(super) fn columns(study: &Study) -> Vec<Column> {
     list
 }
 
-/// `group_delay_ms` as "group delay, ms".
+/// Returns a readable name for a key with its unit: `group_delay_ms` as "group delay, ms".
 fn named(key: &str) -> String {
     for (suffix, unit) in [("_ms", "ms"), ("_deg", "°"), ("_ulp", "ulp"), ("_percent", "%"), ("_hz", "Hz")] {
         if let Some(name) = key.strip_suffix(suffix) {
@@ -65,11 +65,11 @@ fn named(key: &str) -> String {
     key.replace('_', " ")
 }
 
-/// The studies for people: the front is marked with `*`, what Kestrel does by itself with `=`.
+/// Returns the studies as text. The front is marked with `*`, Kestrel's default with `=`.
 pub fn text(studies: &[Study]) -> String {
     let mut text = String::new();
     for study in studies {
-        let _ = writeln!(text, "{}: {}\nCosts are of {}.", study.name, study.title, study.per);
+        let _ = writeln!(text, "{}: {}\nCosts are for {}.", study.name, study.title, study.per);
         let columns = columns(study);
         for problem in study.problems() {
             let (rows, count) = shown(study, problem);
@@ -103,8 +103,8 @@ pub fn text(studies: &[Study]) -> String {
     }
     let _ = write!(
         text,
-        "* on the Pareto front: no other setting of the problem is better in one of error and cost, and not worse \
-         in the other. = what Kestrel does unless told otherwise."
+        "* on the Pareto front: no other setting of the problem is better in one of error and cost and at least as good \
+         in the other. = Kestrel's default."
     );
     text
 }
@@ -117,7 +117,7 @@ fn cell(value: Option<f64>) -> String {
     value.map_or(String::new(), |value| value.to_string())
 }
 
-/// What is the same in every run: errors, instructions, and costs of a study's own.
+/// Returns as CSV what is the same in every run: errors, instructions, and the study's own costs.
 pub fn csv(study: &Study) -> String {
     let mut further: Vec<&'static str> = Vec::new();
     for (name, _) in study.settings.iter().flat_map(|s| &s.also) {
@@ -149,7 +149,7 @@ pub fn csv(study: &Study) -> String {
     csv + "\n"
 }
 
-/// What this machine took this time.
+/// Returns as CSV the times measured on this machine.
 pub fn timing_csv(study: &Study) -> String {
     let mut csv = String::from("problem,setting,host_ns,host_ns_added,pareto");
     for s in &study.settings {

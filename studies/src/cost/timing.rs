@@ -1,13 +1,14 @@
-//! Times on this machine.
+//! Measures run times on this machine.
 
 use std::time::{Duration, Instant};
 
 use super::Options;
 
-/// Time of one run, ns: the quickest of at least three, and of as many as a tenth of a second holds (a
-/// fiftieth if it is to be quick), so that what else the machine does counts as little as it can. `None` if
-/// nothing is to be timed.
-pub fn quickest(options: &Options, mut run: impl FnMut()) -> Option<f64> {
+/// Returns the time of one run, ns, or `None` if nothing is to be timed.
+///
+/// It is the shortest of at least three runs, and of as many as fit into 0.1 s (0.02 s with `quick`), so that other
+/// load on the machine counts as little as possible.
+pub fn shortest_ns(options: &Options, mut run: impl FnMut()) -> Option<f64> {
     if !options.timed {
         return None;
     }

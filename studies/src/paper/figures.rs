@@ -1,4 +1,4 @@
-//! Figures 1 to 3 and 6 to 9, which take nothing but the simulation.
+//! Figures 1 to 3 and 6 to 9, which need only the simulation.
 
 use flight_core::estimator::{Estimator, EstimatorParams};
 use flight_core::geometry::{Vec3, vec3};
@@ -20,7 +20,7 @@ const DEG: f64 = std::f64::consts::PI / 180.0;
 const AXES: [&str; 3] = ["x", "y", "z"];
 const AXIS_COLOURS: [&str; 3] = [colour::BLUE, colour::VERMILLION, colour::GREEN];
 
-/// All of them, in the order of their numbers.
+/// Returns all of them, in the order of their numbers.
 pub fn all(progress: &dyn Fn(u64)) -> Result<Vec<Exhibit>, InputError> {
     let mut list = vec![bias()?, scale_factor()?, misalignment()?];
     progress(30);
@@ -38,7 +38,7 @@ fn line(label: &str, stroke: Stroke, points: Vec<(f64, f64)>) -> Line {
 }
 
 fn panel(title: &str, unit: &'static str, lines: Vec<Line>) -> Panel {
-    Panel { covers: vec![0.0], ..Panel::new(title, unit, 150.0, lines) }
+    Panel { includes: vec![0.0], ..Panel::new(title, unit, 150.0, lines) }
 }
 
 fn picture(description: &str, along: (f64, f64), x_title: &'static str, panels: Vec<Panel>) -> Markup {
@@ -49,7 +49,7 @@ fn at_rest(scene: &Scene) -> Vehicle {
     Vehicle::at_rest(scene.vehicle, scene.mount(), vec![], 1e-3)
 }
 
-/// Figure 1 and eqs 1-3: the position that biased sensors at rest integrate to.
+/// Figure 1 and eqs 1-3: the position error from integrating biased sensors at rest.
 fn bias() -> Result<Exhibit, InputError> {
     const SECONDS: u32 = 60;
     const RATE_HZ: u32 = 100;
@@ -59,9 +59,9 @@ fn bias() -> Result<Exhibit, InputError> {
         let rate_hz = f64::from(RATE_HZ);
         let (mut gyro, mut accel) = (scene.gyro(1, rate_hz), scene.accel(1, rate_hz));
         let vehicle = at_rest(&scene);
-        let at = |time_s: f64| Snapshot { time_s, ..vehicle.moment() };
+        let at = |time_s: f64| Snapshot { time_s, ..vehicle.snapshot() };
         let h = 1.0 / rate_hz;
-        // In the vertical plane that looks north; trapezoidal in each step.
+        // In the vertical plane through north; trapezoidal in each step.
         let north = |tilt: f64, f: Vec3<f64>| libm::cos(tilt) * f.x + libm::sin(tilt) * f.z;
         let (mut tilt, mut velocity, mut position) = (0.0, 0.0, 0.0);
         let mut before = north(tilt, accel.measure(GRAVITY_UP, &at(0.0)));
@@ -78,7 +78,7 @@ fn bias() -> Result<Exhibit, InputError> {
         Ok(points)
     };
     let accel = drift(&format!("[effects.accel.constant_bias]\nbias_m_s2 = [{mg:?}, 0.0, 0.0]\n"))?;
-    // Turning about −y lifts the nose's reading of gravity the same way as eq 3 counts it.
+    // A rotation about −y tilts the measured gravity in the direction that eq 3 counts as positive.
     let rate_deg_s = -1.0 / 3600.0;
     let gyro = drift(&format!("[effects.gyro.constant_bias]\nbias_deg_s = [0.0, {rate_deg_s:?}, 0.0]\n"))?;
     let eq_2 = |t: f64| 0.5 * mg * t * t;
@@ -110,9 +110,9 @@ fn bias() -> Result<Exhibit, InputError> {
         name: "figure-01".into(),
         title: "Figure 1 and equations 1 to 3: bias".into(),
         caption: format!(
-            "The paper sketches a bias and gives the position error that follows. Here biased sensors lie still and \
-             level, and their readings are integrated. After a minute: {last_a:.4} m for ½ b t² = {:.4} m, and \
-             {last_g:.4} m for g b t³/6 = {:.4} m.",
+            "The paper sketches a bias and gives the resulting position error. Here biased sensors lie still and level, and \
+             their readings are integrated. After a minute the position error is {last_a:.4} m, where ½ b t² = {:.4} m, and \
+             {last_g:.4} m, where g b t³/6 = {:.4} m.",
             eq_2(60.0),
             eq_3(60.0)
         ),
@@ -123,14 +123,14 @@ fn bias() -> Result<Exhibit, InputError> {
     })
 }
 
-/// Readings of a gyroscope over a sweep of its input, °/s.
+/// Returns the readings of a gyroscope over a sweep of its input, °/s.
 fn sweep(effects: &str, input: Vec3<f64>) -> Result<Vec<(f64, [f64; 3])>, InputError> {
     let scene = bench::scene(1.0, 1, effects)?;
     let mut gyro = scene.gyro(1, 100.0);
     let vehicle = at_rest(&scene);
     let reading = |k: i32| {
         let rate = f64::from(k) * 5.0;
-        let reading = gyro.measure(input * (rate * DEG), &vehicle.moment());
+        let reading = gyro.measure(input * (rate * DEG), &vehicle.snapshot());
         (rate, <[f64; 3]>::from(reading).map(|r| r / DEG))
     };
     Ok((-40..=40).map(reading).collect())
@@ -156,8 +156,8 @@ fn scale_factor() -> Result<Exhibit, InputError> {
     Ok(Exhibit {
         name: "figure-02".into(),
         title: "Figure 2: scale factor".into(),
-        caption: "Three gyroscopes with scale factors 5 % too large, right, and 5 % too small, over the same input: \
-                  exaggerated, as in the paper's sketch; datasheets have some hundred to some ten thousand ppm."
+        caption: "Three gyroscopes with scale factors 5 % too large, correct, and 5 % too small, over the same input: \
+                  exaggerated, as in the paper's sketch. Datasheets give some hundred to some ten thousand ppm."
             .into(),
         html,
         csv,
@@ -166,7 +166,7 @@ fn scale_factor() -> Result<Exhibit, InputError> {
     })
 }
 
-/// Figure 3: what the other axes read of a turn about z.
+/// Figure 3: the readings of x and y for a rotation about z.
 fn misalignment() -> Result<Exhibit, InputError> {
     let readings = sweep(
         "[effects.gyro.misalignment]\nmounting_mrad = [10.0, 20.0, 0.0]\nnon_orthogonality_mrad = [0.0, 0.0, 0.0]\n",
@@ -178,7 +178,7 @@ fn misalignment() -> Result<Exhibit, InputError> {
         line("y", Stroke::solid(AXIS_COLOURS[1], 1.6), axis(1)),
     ];
     let html = picture(
-        "What x and y read of a turn about z",
+        "Readings of x and y for a rotation about z",
         (-200.0, 200.0),
         "input about z, °/s",
         vec![panel("Reading of x and y", "°/s", lines)],
@@ -192,8 +192,8 @@ fn misalignment() -> Result<Exhibit, InputError> {
         name: "figure-03".into(),
         title: "Figure 3: misalignment".into(),
         caption: format!(
-            "A gyroscope mounted 10 mrad off about x and 20 mrad off about y, turned about z alone: x reads −θy and \
-             y reads θx of it. At 200 °/s that is {x:.3} and {y:.3} °/s."
+            "A gyroscope mounted with errors of 10 mrad about x and 20 mrad about y, rotated about z alone. Of the rate about \
+             z, x reads −θy and y reads θx. At 200 °/s that is {x:.3} and {y:.3} °/s."
         ),
         html,
         csv,
@@ -202,7 +202,7 @@ fn misalignment() -> Result<Exhibit, InputError> {
     })
 }
 
-/// Figure 6: the shape of an Allan plot, with more than one error in it.
+/// Figure 6: the shape of an Allan plot with more than one error.
 fn five_errors() -> Result<Exhibit, InputError> {
     const RATE_HZ: f64 = 10.0;
     let put_in = [
@@ -228,8 +228,8 @@ fn five_errors() -> Result<Exhibit, InputError> {
             ..plot::panel("Overlapping Allan deviation", "°/s", &points, Some(&fit))
         }],
     );
-    let said = put_in.map(|(coefficient, put_in)| {
-        let found = plot::said(coefficient, &fit.found[coefficient as usize], "°/s");
+    let summary = put_in.map(|(coefficient, put_in)| {
+        let found = plot::describe(coefficient, &fit.found[coefficient as usize], "°/s");
         format!("{} {} → {found}", coefficient.letter(), plot::short(put_in))
     });
     Ok(Exhibit {
@@ -237,14 +237,14 @@ fn five_errors() -> Result<Exhibit, InputError> {
         title: "Figure 6: an Allan plot and its slopes".into(),
         caption: format!(
             "The paper shows a drawing from the literature. This is a simulated gyroscope over four days at 10 Hz, with \
-             white noise (slope −½), bias instability (level at 0.664 B) and rate random walk (slope +½). \
+             white noise (slope −½), bias instability (flat at 0.664 B) and rate random walk (slope +½). \
              Put in → read back: {}.",
-            said.join("; ")
+            summary.join("; ")
         ),
         html: chart.render(),
         csv: deviations_csv(&[points]),
         further: vec![],
-        in_short: said.join("; "),
+        in_short: summary.join("; "),
     })
 }
 
@@ -261,7 +261,7 @@ fn deviations_csv(axes: &[Vec<Point>]) -> String {
     numbers(&header, (0..axes[0].len()).map(row))
 }
 
-/// Figures 7 and 8: an hour of the simulated sensors of table 2.
+/// Figures 7 and 8: an hour of simulated sensors with the noise of table 2.
 fn allan_plots() -> Result<Vec<Exhibit>, InputError> {
     const RATE_HZ: f64 = 100.0;
     let scene = bench::scene(3600.0, 1, "[effects.gyro.white_noise]\n[effects.accel.white_noise]\n")?;
@@ -275,18 +275,18 @@ fn allan_plots() -> Result<Vec<Exhibit>, InputError> {
         let mut lines = Vec::new();
         let mut bands = Vec::new();
         let mut labels = Vec::new();
-        let mut said = Vec::new();
+        let mut summary = Vec::new();
         for (i, (points, fit)) in analysed.iter().enumerate() {
             let colour = AXIS_COLOURS[i];
             let value = fit.found[n as usize].value().unwrap_or(f64::NAN);
-            // The lines of equal axes lie on each other: the first is the broadest.
+            // The lines of equal axes coincide: the first is the widest.
             let label = format!("{}, N {}", AXES[i], plot::short(value));
             let measured = points.iter().map(|p| (p.tau_s, p.deviation)).collect();
             let stroke = Stroke::solid(colour, [2.6, 1.8, 1.0][i]);
             lines.push(Line { dots: true, ..Line::new(label, stroke, measured) });
             bands.push(Band { colour, points: points.iter().map(|p| (p.tau_s, p.lower, p.upper)).collect() });
             labels.push(Label { at: (1.0, value), text: String::new(), colour });
-            said.push(format!("{}: {} for {}", AXES[i], plot::short(value), plot::short(printed[i])));
+            summary.push(format!("{}: {} for {}", AXES[i], plot::short(value), plot::short(printed[i])));
         }
         let title = format!("Overlapping Allan deviation of the {what}");
         let chart = Chart::logarithmic(
@@ -300,16 +300,16 @@ fn allan_plots() -> Result<Vec<Exhibit>, InputError> {
             name: format!("figure-{number:02}"),
             title: format!("Figure {number}: Allan plot of the {what}"),
             caption: format!(
-                "The paper reads table 2 off an hour of its own sensor, which is not published. This is an hour of the \
-                 simulated sensor with table 2 in it, at 100 Hz, through its converter. N as read back, for what \
-                 was put in ({}): {}.",
+                "The paper takes table 2 from an hour of its own sensor, which is not published. This is an hour of the simulated \
+                 sensor with the noise of table 2, at 100 Hz, through its converter. N as read back, for the value that was \
+                 put in ({}): {}.",
                 n.unit(unit),
-                said.join("; ")
+                summary.join("; ")
             ),
             html: chart.render(),
             csv: deviations_csv(&points),
             further: vec![],
-            in_short: said.join("; "),
+            in_short: summary.join("; "),
         }
     };
     Ok(vec![
@@ -318,7 +318,7 @@ fn allan_plots() -> Result<Vec<Exhibit>, InputError> {
     ])
 }
 
-/// Figure 9: what comes out of the chain of sensors, 30 Hz filters and complementary filter, at rest.
+/// Figure 9: the output of the chain of sensors, 30 Hz filters and complementary filter, at rest.
 fn chain() -> Result<Exhibit, InputError> {
     const RATE_HZ: f64 = 1000.0;
     let scene = bench::scene(20.0, 7, "[effects.gyro.white_noise]\n[effects.accel.white_noise]\n")?;
@@ -333,10 +333,10 @@ fn chain() -> Result<Exhibit, InputError> {
     for k in 0..gyro[0].len() {
         let rate = gyro_filter.step(at(&gyro, k));
         estimator.update(rate, accel_filter.step(at(&accel, k)), None, 1e-3);
-        // Level and at rest the angles are small, and twice the vector part is roll and pitch.
+        // Level and at rest the angles are small: roll and pitch are twice the vector part.
         let [_, x, y, _] = estimator.attitude().to_array().map(f64::from);
         let values = [gyro[0][k] / DEG, f64::from(rate.x) / DEG, 2.0 * x / DEG, 2.0 * y / DEG];
-        // Ten seconds to settle.
+        // The first ten seconds are for settling.
         let time_s = k as f64 / RATE_HZ;
         if time_s >= 10.0 {
             channels.iter_mut().zip(values).for_each(|(channel, value)| channel.push((time_s, value)));
@@ -349,7 +349,7 @@ fn chain() -> Result<Exhibit, InputError> {
     };
     let names = ["gyroscope x", "behind the 30 Hz filter", "roll", "pitch"];
     let units = ["°/s", "°/s", "°", "°"];
-    let said: Vec<String> = (0..4)
+    let summary: Vec<String> = (0..4)
         .map(|i| format!("{} {} {}", names[i], plot::short(deviation(&channels[i])), units[i]))
         .collect();
     let csv = numbers(
@@ -387,13 +387,13 @@ fn chain() -> Result<Exhibit, InputError> {
         title: "Figure 9: the chain".into(),
         caption: format!(
             "The paper draws the chain as blocks: sensors with the noise of table 2, a 30 Hz Butterworth filter on \
-             each, the complementary filter (0.97 at 100 Hz, a time constant of 0.3233 s). This is what comes \
-             through it at rest, at 1 kHz, by the code that flies. Standard deviations: {}.",
-            said.join(", ")
+             each, and the complementary filter (0.97 at 100 Hz, a time constant of 0.3233 s). This is its output at rest, at \
+             1 kHz, computed by the flight code. Standard deviations: {}.",
+            summary.join(", ")
         ),
         html,
         csv,
         further: vec![],
-        in_short: said.join(", "),
+        in_short: summary.join(", "),
     })
 }

@@ -1,8 +1,9 @@
-//! The command `paper`: the paper's tables and figures made again, ours beside theirs.
+//! The command `paper`: the paper's tables and figures reproduced, with ours beside theirs.
 //!
 //! B. Altınöz, H. Eken, A. Cönger, S. Can, *Modelling inertial measurement unit error parameters for an unmanned
-//! air vehicle*, 2024. One page, with the numbers of every figure in a CSV file beside it. The same program
-//! makes the same bytes; figures 10 to 15 need recordings, and are left out, and said to be, without them.
+//! air vehicle*, 2024. The result is one page, with the numbers of every figure in a CSV file beside it. The same
+//! program writes the same bytes. Figures 10 to 15 need recordings; without them they are left out, and the page says
+//! so.
 
 mod bench;
 mod figures;
@@ -20,40 +21,40 @@ use sim_host::report::document;
 /// A table or a figure.
 #[derive(Clone, Debug)]
 pub struct Exhibit {
-    /// Its name among the files, and in the result: `figure-07`.
+    /// Its name in file names and in the JSON result: `figure-07`.
     pub name: String,
-    /// What it is called on the page.
+    /// Its title on the page.
     pub title: String,
-    /// What the paper shows, and what is shown here.
+    /// Its caption: what the paper shows, and what is shown here.
     pub caption: String,
-    /// A picture, a table, or both.
+    /// A chart, a table, or both.
     html: Markup,
     /// The numbers, as CSV.
     csv: String,
-    /// Further numbers, each with what is added to the name: `-spectrum`.
+    /// Further CSV files, each with its suffix to the name: `-spectrum`.
     further: Vec<(&'static str, String)>,
-    /// The one or two numbers that say it in short.
+    /// Its main result in one or two numbers.
     pub in_short: String,
 }
 
-/// What was made.
+/// The exhibits that were made.
 #[derive(Clone, Debug)]
 pub struct Made {
     /// The paper's tables.
     pub tables: Vec<Exhibit>,
     /// Its figures.
     pub figures: Vec<Exhibit>,
-    /// What was left out, and why.
+    /// A sentence that says what was left out and why.
     pub left_out: Option<String>,
 }
 
-/// Makes everything that can be made into the directory at `out`.
+/// Writes all exhibits and the page into the directory `out`.
 ///
 /// # Errors
-/// A place that cannot be written; recordings that cannot be read.
+/// A file cannot be written; a recording cannot be read.
 pub fn make(out: &Path, recordings: Option<&Path>, progress: &dyn Fn(u64)) -> Result<Made, InputError> {
     std::fs::create_dir_all(out)
-        .map_err(|error| InputError::new(format!("cannot be made: {error}")).file(out).field("--out"))?;
+        .map_err(|error| InputError::new(format!("cannot be created: {error}")).file(out).field("--out"))?;
     let tables = vec![table_2::table(progress)?];
     let mut figures = figures::all(progress)?;
     let left_out = match recordings {
@@ -75,7 +76,7 @@ pub fn make(out: &Path, recordings: Option<&Path>, progress: &dyn Fn(u64)) -> Re
             output_file::write(out.join(format!("{}{addition}.csv", exhibit.name)), csv)?;
         }
     }
-    // The page last: when it is there, so is everything that it links to.
+    // The page is written last: once it exists, all files that it links to exist.
     output_file::write(out.join("index.html"), &page(&made))?;
     Ok(made)
 }
@@ -86,14 +87,14 @@ fn page(made: &Made) -> String {
          .pair{display:flex;gap:10px}.pair .chart{flex:1 1 0;min-width:0}\n";
     let content = html! {
         header {
-            p.kind { "Kestrel · the paper, made again" }
+            p.kind { "Kestrel · the paper, reproduced" }
             h1 { "Modelling inertial measurement unit error parameters for an unmanned air vehicle" }
             p.about {
-                "Tables and figures of Altınöz, Eken, Cönger and Can (2024), from this project's own simulation and \
-                 analysis, beside what the paper prints."
+                "Tables and figures of Altınöz, Eken, Cönger and Can (2024), reproduced with Kestrel's simulation and analysis, \
+                 beside what the paper prints."
             }
             p.facts {
-                "Every number on this page is in a CSV file beside it. The same program makes the same page, to the byte."
+                "Every number on this page is in a CSV file beside it. The same program writes the same page, byte for byte."
             }
         }
         @for exhibit in made.tables.iter().chain(&made.figures) { (shown(exhibit)) }
@@ -102,8 +103,8 @@ fn page(made: &Made) -> String {
             p { (left_out) }
         }
         footer {
-            "Table 1 lists symbols, and figures 4 and 5 show the vehicle: there is nothing in them to compute. Equation by \
-             equation the paper is gone through in docs/paper.md."
+            "Table 1 lists symbols, and figures 4 and 5 show the vehicle: they have nothing to compute. docs/paper.md discusses \
+             the paper equation by equation."
         }
     };
     document("The paper's tables and figures", style, &content)
@@ -128,7 +129,7 @@ fn shown(exhibit: &Exhibit) -> Markup {
     }
 }
 
-/// A table as HTML and as CSV: a header and rows. The first column is text.
+/// Returns a table as HTML and as CSV, from a header and rows. The first column is text.
 fn tabulated(header: &[&str], rows: &[Vec<String>]) -> (Markup, String) {
     let html = html! {
         table.data {
@@ -154,7 +155,7 @@ fn tabulated(header: &[&str], rows: &[Vec<String>]) -> (Markup, String) {
     (html, csv)
 }
 
-/// Rows of numbers under a header.
+/// Returns rows of numbers as CSV under a header. Numbers that are not finite are empty cells.
 fn numbers(header: &str, rows: impl Iterator<Item = Vec<f64>>) -> String {
     let mut csv = format!("{header}\n");
     for row in rows {

@@ -1,4 +1,4 @@
-//! Figures 10 to 15: a real sensor at rest, and the simulation with what was identified of it.
+//! Figures 10 to 15: a real sensor at rest, beside a simulation with the noise identified from it.
 
 use std::path::{Path, PathBuf};
 
@@ -14,13 +14,13 @@ use sim_host::chart::{Chart, Line, Panel, Stroke, colour};
 use sim_host::identify::plot;
 use sim_host::log::{AccelSign, Axes, Frame, Log, LogRow};
 
-/// Rest that is shown, s.
+/// Length of the segment at rest, s.
 const REST_S: f64 = 20.0;
 const DEG: f64 = std::f64::consts::PI / 180.0;
 
-/// The figures from the first recording in the directory, or in `broad` below it, that begins at rest.
+/// Returns the figures from the first recording in the directory, or in `broad` below it, that starts at rest.
 pub fn all(directory: &Path) -> Result<Vec<Exhibit>, InputError> {
-    let (name, rate_hz, axes) = rest(directory)?;
+    let (name, rate_hz, axes) = recording_at_rest(directory)?;
     let mut list = Vec::new();
     for (i, samples) in axes.into_iter().enumerate() {
         list.push(exhibit(&name, 10 + i, samples, rate_hz)?);
@@ -28,7 +28,7 @@ pub fn all(directory: &Path) -> Result<Vec<Exhibit>, InputError> {
     Ok(list)
 }
 
-fn rest(directory: &Path) -> Result<(String, f64, [Vec<f64>; 6]), InputError> {
+fn recording_at_rest(directory: &Path) -> Result<(String, f64, [Vec<f64>; 6]), InputError> {
     let below = directory.join("broad");
     let place = if below.is_dir() { below } else { directory.to_path_buf() };
     let cannot_read =
@@ -58,7 +58,8 @@ fn rest(directory: &Path) -> Result<(String, f64, [Vec<f64>; 6]), InputError> {
     Err(InputError::new(format!("no recording in it begins with {REST_S} s of rest")).file(&place))
 }
 
-/// The stretch of [`REST_S`] in which the gyroscope moves least: people touch the table, and begin early.
+/// Returns the segment of [`REST_S`] in which the gyroscope moves least: people touch the table, or start to move
+/// early.
 fn quietest(rows: &[LogRow], interval_s: f64) -> &[LogRow] {
     let (length, stride) = ((REST_S / interval_s) as usize, (1.0 / interval_s) as usize);
     let unrest = |from: usize| {
@@ -91,7 +92,7 @@ fn exhibit(name: &str, number: usize, measured: Vec<f64>, rate_hz: f64) -> Resul
             "the rest of {name} shows no white noise on the {axis} axis of its {sensor}"
         )));
     };
-    // The identified model: N, and the mean as the input.
+    // The identified model: N, with the mean as the true input.
     let per = if is_gyro {
         (60.0, "gyro", "n_deg_per_sqrt_h", "deg_s")
     } else {
@@ -112,7 +113,7 @@ fn exhibit(name: &str, number: usize, measured: Vec<f64>, rate_hz: f64) -> Resul
     let strokes = [Stroke::solid(colour::ORANGE, 1.2), Stroke::solid(colour::BLUE, 1.2)];
     let seconds = measured.len() as f64 / rate_hz;
     let along = |samples: &[f64]| samples.iter().enumerate().map(|(k, y)| (k as f64 / rate_hz, *y)).collect();
-    // The same axis for both.
+    // The same vertical axis for both.
     let covers = both
         .iter()
         .flat_map(|(_, s)| s.iter().copied())
@@ -121,7 +122,10 @@ fn exhibit(name: &str, number: usize, measured: Vec<f64>, rate_hz: f64) -> Resul
     let series = both.iter().zip(strokes).map(|((label, samples), stroke)| {
         let lines = vec![Line::new("", stroke, along(samples))];
         let unit = if is_gyro { "°/s" } else { "m/s²" };
-        Panel { covers: covers.clone(), ..Panel::new(format!("{sensor} {axis}, {label}"), unit, 90.0, lines) }
+        Panel {
+            includes: covers.clone(),
+            ..Panel::new(format!("{sensor} {axis}, {label}"), unit, 90.0, lines)
+        }
     });
     let description = format!("{sensor} {axis} at rest, measured and simulated");
     let series = Chart::over_time(920.0, description, (0.0, seconds), series.collect());
@@ -137,7 +141,7 @@ fn exhibit(name: &str, number: usize, measured: Vec<f64>, rate_hz: f64) -> Resul
         let [measured, simulated] = pair;
         vec![curve("measured", strokes[0], measured, dots), curve("simulated", strokes[1], simulated, dots)]
     };
-    // Two charts with one panel each, because their axes along the bottom are not of one kind.
+    // Two charts with one panel each, because their horizontal axes have different quantities.
     let log_chart = |x_title: &'static str, title: &str, unit: String, lines: Vec<Line>| {
         let description = format!("{title} of {sensor} {axis}, measured and simulated");
         Chart::logarithmic(455.0, description, x_title, vec![Panel::new(title, unit, 220.0, lines)])
@@ -183,12 +187,12 @@ fn exhibit(name: &str, number: usize, measured: Vec<f64>, rate_hz: f64) -> Resul
         name: format!("figure-{number}"),
         title: format!("Figure {number}: {sensor} {axis} at rest"),
         caption: format!(
-            "The paper lays its own recording beside its simulation. This is the quietest stretch of the rest before the trial {name} of BROAD \
-             (Laidig, Caruso, Cereatti, Seel 2021, CC BY 4.0), {seconds:.1} s at {rate_hz:.1} Hz, body axes \
-             forward-right-down, beside the simulation with the N identified from it ({}) through a common converter. \
-             Where the measured curves fall off at high frequency and short τ, the real sensor has a filter that \
-             the model has not.",
-            plot::said(n, &fit.found[n as usize], unit)
+            "The paper shows its own recording beside its simulation. Here the recording is the quietest segment of the rest \
+             before the trial {name} of BROAD (Laidig, Caruso, Cereatti, Seel 2021, CC BY 4.0), {seconds:.1} s at \
+             {rate_hz:.1} Hz, in body axes forward-right-down. The simulation has the N identified from it ({}) and a common \
+             converter. Where the measured curves fall off at high frequency and short τ, the real sensor has a filter that \
+             the model does not have.",
+            plot::describe(n, &fit.found[n as usize], unit)
         ),
         html: html! {
             (table)

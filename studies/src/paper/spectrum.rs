@@ -1,24 +1,25 @@
-//! Power spectral density by Welch's method: the mean of periodograms of overlapping, windowed stretches.
+//! Power spectral density by Welch's method: the mean of periodograms of overlapping, windowed segments.
 
-/// Two-sided density at each frequency, Hz, above 0 and up to half the rate. White noise N is N² here.
+/// Returns the two-sided density at each frequency, Hz, above 0 and up to half the rate. White noise N has the density
+/// N².
 pub fn density(samples: &[f64], rate_hz: f64) -> Vec<(f64, f64)> {
-    /// Samples in a stretch.
+    /// Samples in a segment.
     const LENGTH: usize = 512;
     if samples.len() < LENGTH {
         return Vec::new();
     }
     let turn = |k: usize| 2.0 * std::f64::consts::PI * k as f64 / LENGTH as f64;
     let table: Vec<(f64, f64)> = (0..LENGTH).map(|k| (libm::cos(turn(k)), libm::sin(turn(k)))).collect();
-    // Hann's.
+    // Hann window.
     let window: Vec<f64> = table.iter().map(|(cos, _)| 0.5 - 0.5 * cos).collect();
     let power: f64 = window.iter().map(|w| w * w).sum();
     let starts = (0..=samples.len() - LENGTH).step_by(LENGTH / 2);
     let count = starts.clone().count() as f64;
     let mut density = vec![0.0; LENGTH / 2];
     for start in starts {
-        let stretch = &samples[start..start + LENGTH];
-        let mean = stretch.iter().sum::<f64>() / LENGTH as f64;
-        let windowed: Vec<f64> = stretch.iter().zip(&window).map(|(y, w)| (y - mean) * w).collect();
+        let segment = &samples[start..start + LENGTH];
+        let mean = segment.iter().sum::<f64>() / LENGTH as f64;
+        let windowed: Vec<f64> = segment.iter().zip(&window).map(|(y, w)| (y - mean) * w).collect();
         for (f, density) in density.iter_mut().enumerate() {
             let (mut re, mut im) = (0.0, 0.0);
             for (k, y) in windowed.iter().enumerate() {

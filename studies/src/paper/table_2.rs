@@ -1,4 +1,5 @@
-//! Table 2: the random walks, put in, simulated for an hour, read back, in both readings of their unit.
+//! Table 2: its random walks are put into a simulated sensor, simulated for an hour, and read back, for both readings
+//! of their unit.
 
 use super::bench::{self, GRAVITY_UP};
 use super::{Exhibit, tabulated};
@@ -20,7 +21,7 @@ pub fn table(progress: &dyn Fn(u64)) -> Result<Exhibit, InputError> {
     let mut rows = Vec::new();
     let mut worst = 0.0_f64;
     let n = Coefficient::WhiteNoise as usize;
-    // Per hour where it should be per root hour: a √Hz less by a factor of 60.
+    // deg/h/√Hz in place of deg/√h: smaller by a factor of 60.
     for (reading, per) in [("deg/√h", 1.0), ("deg/h/√Hz", 60.0)] {
         let [x, y, z] = GYRO.map(|n| n / per);
         let effects = format!("[effects.gyro.white_noise]\nn_deg_per_sqrt_h = [{x:?}, {y:?}, {z:?}]\n");
@@ -32,7 +33,7 @@ pub fn table(progress: &dyn Fn(u64)) -> Result<Exhibit, InputError> {
         for (axis, (before, behind)) in read(false).into_iter().zip(read(true)).enumerate() {
             let put_in = GYRO[axis] / per / 60.0;
             let value = |samples: Vec<f64>, step: Option<f64>| {
-                // What never leaves one count has no noise to read.
+                // Samples that never leave one count show no noise.
                 if samples.windows(2).all(|w| w[0] == w[1]) {
                     return None;
                 }
@@ -77,11 +78,11 @@ pub fn table(progress: &dyn Fn(u64)) -> Result<Exhibit, InputError> {
     Ok(Exhibit {
         name: "table-2".into(),
         title: "Table 2: angle and speed random walk".into(),
-        caption: "The paper prints the gyroscope's in \"deg/hr\", a unit of bias. Both readings are put into the \
-                  simulated sensor, which lies still for an hour at 100 Hz, and are read back from its Allan \
-                  deviation. Read as deg/h/√Hz the noise would be a fifteenth of one step of a common 16-bit \
-                  converter (16.4 counts per °/s) and would not be seen at all; deg/√h is what such a sensor shows. \
-                  The converter's rounding adds its own step²/12 a sample."
+        caption: "The paper prints the gyroscope's values in \"deg/hr\", a unit of bias. Both readings are put into the \
+                  simulated sensor, which lies still for an hour at 100 Hz, and are read back from its Allan deviation. \
+                  Read as deg/h/√Hz, the noise would be a fifteenth of one step of a common 16-bit converter (16.4 \
+                  counts per °/s) and would not be visible at all. Such a sensor shows the noise that deg/√h gives. The \
+                  converter's rounding adds a variance of step²/12 per sample."
             .into(),
         html,
         csv,
@@ -98,7 +99,7 @@ fn row(
     behind: Option<f64>,
     unit: &str,
 ) -> Vec<String> {
-    let value = |found: Option<f64>| found.map_or("not seen".into(), short);
+    let value = |found: Option<f64>| found.map_or("not visible".into(), short);
     let off =
         |found: Option<f64>| found.map_or("–".into(), |n| format!("{:+.2} %", 100.0 * (n / put_in - 1.0)));
     vec![

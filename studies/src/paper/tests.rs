@@ -1,14 +1,14 @@
 use super::*;
 
 #[test]
-fn a_table_is_escaped_in_html_and_quoted_in_csv() {
+fn table_is_escaped_in_html_and_quoted_in_csv() {
     let (html, csv) = tabulated(&["a", "b"], &[vec!["x, <y>".into(), "1".into()]]);
     assert!(html.into_string().contains("<td>x, &lt;y&gt;</td><td class=\"n\">1</td>"));
     assert_eq!(csv, "a,b\n\"x, <y>\",1\n");
 }
 
 #[test]
-fn everything_that_takes_no_recording_is_made_twice_the_same() {
+fn exhibits_without_recordings_are_reproducible() {
     let made = |_| {
         let directory = tempfile::tempdir().unwrap();
         let out = directory.path().join("paper");

@@ -1,4 +1,4 @@
-//! One function: every path through its instructions, with the depth of the stack at each.
+//! Analysis of one function: every path through its instructions, with the depth of the stack at each.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -7,37 +7,37 @@ use crate::thumb::{Condition, Flow, Half, Instruction, Stack, decode};
 
 pub enum Callee {
     Function(u32),
-    /// Whatever a register holds.
+    /// The function whose address is in a register.
     Register,
 }
 
 pub struct Call {
     pub at: u32,
-    /// Bytes of stack that the caller has taken when it calls.
+    /// Bytes of stack in use by the caller at the call.
     pub depth: u32,
     pub callee: Callee,
 }
 
 pub struct Function {
-    /// The most bytes of stack that it takes itself.
+    /// The largest stack use of the function itself, bytes.
     pub frame: u32,
     pub calls: Vec<Call>,
-    /// The permanently undefined instructions that it can reach.
+    /// Addresses of the reachable permanently undefined instructions.
     pub traps: Vec<u32>,
     pub instructions: usize,
-    /// Whether some path comes back to the caller.
+    /// Whether some path returns to the caller.
     pub returns: bool,
 }
 
-/// A function's instructions by address, and the condition on which each depends if it is in an `it` block. What
-/// cannot be decoded matters only if a path gets there.
+/// A function's instructions by address, and the condition of each one in an `it` block. An instruction that cannot be
+/// decoded is an error only if a path reaches it.
 pub type Listing = BTreeMap<u32, (Result<Instruction, &'static str>, Option<Condition>)>;
 
 pub fn listing(image: &Image, start: u32) -> Listing {
     let end = start + image.functions[&start].size;
     let mut listing = Listing::new();
     let mut address = start;
-    // Of the next instructions, the first one's at the end.
+    // Conditions of the next instructions, in reverse order.
     let mut conditions = Vec::new();
     while address < end {
         if !image.is_code(address) {
@@ -57,7 +57,8 @@ pub fn listing(image: &Image, start: u32) -> Listing {
     listing
 }
 
-/// Every number that the function may build with `movw` and `movt`: addresses of functions are among them.
+/// Returns every number that the function may build with any of its `movw` and `movt`, among them addresses of
+/// functions.
 pub fn constants(image: &Image, start: u32) -> Vec<u32> {
     let halves: BTreeSet<(u32, bool, u32)> = listing(image, start)
         .values()
@@ -70,7 +71,7 @@ pub fn constants(image: &Image, start: u32) -> Vec<u32> {
         .collect()
 }
 
-/// The numbers that the function builds with a `movw` and the next `movt` to the same register: what a compiler writes.
+/// Returns the numbers that a `movw` and the next `movt` to the same register build, which is how compilers do it.
 pub fn pairs(image: &Image, start: u32) -> Vec<u32> {
     let mut low = BTreeMap::new();
     let mut numbers = Vec::new();
@@ -88,13 +89,13 @@ pub fn pairs(image: &Image, start: u32) -> Vec<u32> {
     numbers
 }
 
-/// The analysis of the function at `start`. `returning` holds those that come back: after a call of another,
-/// nothing follows.
+/// Analyses the function at `start`. `returning` holds the functions that return: after a call of any other function
+/// the path ends.
 pub fn analyse(image: &Image, start: u32, returning: &BTreeSet<u32>) -> Result<Function, String> {
     let listing = listing(image, start);
     let mut function =
         Function { frame: 0, calls: Vec::new(), traps: Vec::new(), instructions: 0, returns: false };
-    let mut begins_anew = false;
+    let mut resets_stack = false;
     // Bytes of stack taken at each instruction.
     let mut depths = BTreeMap::from([(start, 0_u32)]);
     let mut open = vec![start];
@@ -115,8 +116,8 @@ pub fn analyse(image: &Image, start: u32, returning: &BTreeSet<u32>) -> Result<F
                 Some(after) => after,
                 None => return fail("more is popped than was pushed"),
             },
-            Stack::BeginAnew => {
-                begins_anew = true;
+            Stack::Reset => {
+                resets_stack = true;
                 0
             }
         };
@@ -125,7 +126,7 @@ pub fn analyse(image: &Image, start: u32, returning: &BTreeSet<u32>) -> Result<F
         let next = at + instruction.length;
         let mut to = Vec::new();
         if conditional {
-            // The condition does not hold.
+            // The path on which the condition does not hold.
             to.push((next, depth));
         }
         let mut jumps = Vec::new();
@@ -139,7 +140,7 @@ pub fn analyse(image: &Image, start: u32, returning: &BTreeSet<u32>) -> Result<F
             Flow::JumpTable { entry } => {
                 jumps = jump_table(image, &listing, next, entry);
                 if jumps.is_empty() {
-                    return fail("a jump table that is not understood");
+                    return fail("an unknown kind of jump table");
                 }
             }
             Flow::Call(target) => {
@@ -188,21 +189,21 @@ pub fn analyse(image: &Image, start: u32, returning: &BTreeSet<u32>) -> Result<F
                     open.push(target);
                 }
                 Some(&before) if before != depth => {
-                    return fail(&format!("comes to {target:#x} with another sp than another path"));
+                    return fail(&format!("reaches {target:#x} with another sp than another path"));
                 }
                 Some(_) => {}
             }
         }
     }
-    if begins_anew && function.returns {
+    if resets_stack && function.returns {
         return Err(format!("{}: returns with a stack of its own", image.name(start)));
     }
     Ok(function)
 }
 
-/// The targets of the jump table at `table`. Literals may follow it without a mark between. So it is read
-/// until the first of its targets, or the first entry that leads to no instruction of the function. A literal
-/// that looks like one more entry adds a path and hides none.
+/// Returns the targets of the jump table at `table`. Literals may follow the table without a mark. So the table is read
+/// up to its first target, or up to the first entry that leads to no instruction of the function. A literal that looks
+/// like one more entry adds a path and hides none.
 pub fn jump_table(image: &Image, listing: &Listing, table: u32, entry: u32) -> Vec<u32> {
     let mut targets = Vec::new();
     let mut first = u32::MAX;

@@ -1,4 +1,4 @@
-//! What the linker made: functions, their bytes, and the vector table.
+//! The contents of a linked image: functions, their bytes, and the vector table.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -7,22 +7,22 @@ use object::{Object as _, ObjectSection as _, ObjectSymbol as _, SymbolKind};
 
 pub struct Image {
     pub functions: BTreeMap<u32, Symbol>,
-    /// What is in flash, without the vector table, by address.
+    /// The contents of flash without the vector table, by address.
     sections: BTreeMap<u32, Vec<u8>>,
-    /// Where code begins (`true`) and where data does, as the ELF's mapping symbols say.
+    /// Addresses where code (`true`) or data (`false`) begins, by the ELF's mapping symbols.
     mapping: BTreeMap<u32, bool>,
-    /// The vector table from the second word on: what reset, faults and interrupts enter.
+    /// The vector table from the second word on: the handlers of reset, faults and interrupts.
     pub vectors: Vec<u32>,
-    /// `STACK` of memory.x.
+    /// Size of the stack, bytes: `STACK` of memory.x.
     pub stack_bytes: u32,
-    /// What is programmed: vectors, code, constants, and the first values of variables.
+    /// Size of what is flashed, bytes: vectors, code, constants, and the initial values of variables.
     pub flash_bytes: u32,
-    /// What variables take.
+    /// Size of the variables in RAM, bytes.
     pub ram_bytes: u32,
 }
 
 pub struct Symbol {
-    /// All that are at this address, aliases last.
+    /// All names at this address, aliases last.
     pub names: Vec<String>,
     pub size: u32,
 }
@@ -55,7 +55,7 @@ impl Image {
                     let names = Vec::new();
                     let function = functions.entry(address & !1).or_insert(Symbol { names, size: 0 });
                     let name = format!("{:#}", rustc_demangle::demangle(name));
-                    // An alias that the linker script gives has no size.
+                    // An alias from the linker script has no size.
                     let at = if symbol.size() > 0 { 0 } else { function.names.len() };
                     function.names.insert(at, name);
                     function.size = function.size.max(symbol.size() as u32);
@@ -77,7 +77,7 @@ impl Image {
         }
     }
 
-    /// An image of these functions, one behind the other from address 0 on.
+    /// Creates an image of these functions, one after the other from address 0.
     pub fn of(functions: &[(&str, &[u16])]) -> Self {
         let mut image = Self {
             functions: BTreeMap::new(),
@@ -98,13 +98,13 @@ impl Image {
         image
     }
 
-    /// Marks bytes of [`Self::of`] as data.
+    /// Marks bytes of an image made by [`Self::of`] as data.
     pub fn with_data(mut self, range: std::ops::Range<u32>) -> Self {
         self.mapping.extend([(range.start, false), (range.end, true)]);
         self
     }
 
-    /// The function that has this name.
+    /// Returns the address of the function with this name.
     pub fn find(&self, name: &str) -> Option<u32> {
         let mut named = self.functions.iter().filter(|(_, symbol)| symbol.names.iter().any(|n| n == name));
         named.next().map(|(&address, _)| address)
@@ -127,7 +127,7 @@ impl Image {
         self.mapping.range(..=address).next_back().is_some_and(|(_, &code)| code)
     }
 
-    /// Every aligned word that is data: tables, literals, initial values of variables.
+    /// Returns every aligned word that is data: tables, literals, initial values of variables.
     pub fn data_words(&self) -> impl Iterator<Item = u32> {
         self.sections.iter().flat_map(move |(&start, bytes)| {
             bytes.as_chunks().0.iter().zip((start..).step_by(4)).filter_map(move |(word, address)| {

@@ -1,11 +1,11 @@
-//! A linked image read back: its instructions, functions, calls and stack.
+//! Analysis of a linked image: its instructions, functions, calls and stack.
 
 pub mod function;
 pub mod image;
 pub mod program;
 pub mod thumb;
 
-/// Prints a figure beside its entry in `budgets.toml`, and panics if it is over its budget, or has none.
+/// Prints a figure beside its entry in `budgets.toml`. Panics if it exceeds its budget, or has no entry.
 pub fn budget(table: &str, name: &str, measured: u32) {
     let file: toml::Table = include_str!("../budgets.toml").parse().expect("budgets.toml is TOML");
     let entry: Option<[u32; 2]> =
@@ -14,5 +14,5 @@ pub fn budget(table: &str, name: &str, measured: u32) {
     let change = i64::from(measured) - i64::from(last);
     let note = if change == 0 { String::new() } else { format!(", {change:+} since {last}") };
     println!("budget: {name}: {measured} of {budget} {table}{note}");
-    assert!(measured <= budget, "{name}: {measured} {table}, and the budget is {budget}");
+    assert!(measured <= budget, "{name}: {measured} {table}, budget {budget}");
 }

@@ -1,4 +1,4 @@
-//! All functions of an image and who calls whom.
+//! All functions of an image, and their calls.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -8,24 +8,24 @@ use crate::image::Image;
 pub struct Program<'a> {
     image: &'a Image,
     functions: BTreeMap<u32, Result<Function, String>>,
-    /// The functions whose address is somewhere in the image: a call by register goes to one of them.
+    /// Functions whose address occurs in the image: a call by register goes to one of them.
     addresses_taken: Vec<u32>,
 }
 
-/// The functions that can be reached, each with the caller from which it was first reached.
+/// The reachable functions, each with the caller from which it was first reached.
 type Reached = BTreeMap<u32, Option<u32>>;
 
-/// The most stack of a function and of what it calls.
+/// The largest stack use of a function and its callees.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Depth {
     pub bytes: u32,
-    /// The calls that lead to it.
+    /// The functions along the deepest path.
     pub path: Vec<u32>,
 }
 
 impl<'a> Program<'a> {
     pub fn new(image: &'a Image) -> Self {
-        // Nothing is taken to return until a path to its end has been seen.
+        // A function counts as returning only once a path to a return has been found.
         let mut returning = BTreeSet::new();
         let functions = loop {
             let functions: BTreeMap<u32, Result<Function, String>> =
@@ -43,7 +43,7 @@ impl<'a> Program<'a> {
         let built = image.functions.keys().flat_map(|&start| constants(image, start));
         let numbers: BTreeSet<u32> =
             image.data_words().chain(built).filter(|number| number & 1 == 1).collect();
-        // What the processor enters by itself is called by nobody.
+        // Handlers are entered by the processor and never called.
         let addresses_taken = numbers
             .iter()
             .map(|number| number & !1)
@@ -56,7 +56,7 @@ impl<'a> Program<'a> {
         self.functions[&start].as_ref().map_err(String::clone)
     }
 
-    /// The calls of a function: bytes of its stack in use, and where to.
+    /// Returns the calls of a function: the bytes of its stack in use, and the callee.
     fn calls(&self, start: u32) -> Result<Vec<(u32, u32)>, String> {
         let mut calls = Vec::new();
         for call in &self.function(start)?.calls {
@@ -70,7 +70,7 @@ impl<'a> Program<'a> {
         Ok(calls)
     }
 
-    /// All that can be reached from `root`, not looking into the functions that `ends` holds for.
+    /// Returns all functions that can be reached from `root`. Functions for which `ends` holds are not searched.
     pub fn reached(&self, root: u32, ends: impl Fn(u32) -> bool) -> Result<Reached, String> {
         let mut reached = Reached::from([(root, None)]);
         let mut open = std::collections::VecDeque::from([root]);
@@ -88,14 +88,14 @@ impl<'a> Program<'a> {
         Ok(reached)
     }
 
-    /// `root → … → function`, with names.
+    /// Returns the chain of calls `root → … → function`, with names.
     pub fn chain(&self, reached: &Reached, function: u32) -> String {
         let names = std::iter::successors(Some(function), |at| reached[at]).map(|at| self.image.name(at));
         names.collect::<Vec<_>>().into_iter().rev().collect::<Vec<_>>().join("\n  → ")
     }
 
-    /// The most stack that `root` takes, up to where one of `ends` is called. A cycle of calls is an error,
-    /// unless `nested` has a bound on how often each function of it can be under way at once.
+    /// Returns the largest stack use of `root`, up to calls of functions for which `ends` holds. A cycle of calls is an
+    /// error, unless `nested` gives for each of its functions how often it can be active at once.
     pub fn depth(
         &self,
         root: u32,
@@ -118,7 +118,7 @@ impl<'a> Program<'a> {
             }
             below.insert(function, seen);
         }
-        // Callees first: what is above another has it below, and all that is below that.
+        // Callees first: a caller can reach at least what its callees can reach, and the callees.
         let mut order: Vec<u32> = calls.keys().copied().collect();
         order.sort_by_key(|function| below[function].len());
         let mut depths: BTreeMap<u32, Depth> = BTreeMap::new();

@@ -1,24 +1,24 @@
-//! What an ARMv7E-M instruction does to the program counter and to the stack pointer, and nothing else.
+//! Decoder of ARMv7E-M instructions, restricted to their effect on the program counter and the stack pointer.
 //!
 //! The encodings are those of the ARMv7-M Architecture Reference Manual (ARM DDI 0403), chapters A5 and A6.
-//! Every class that can write a core register is checked for writing `sp` or `pc`; a way of doing so that is
-//! not known here is an error, and so is an encoding that the manual does not give to this core.
+//! Every class that can write a core register is checked for writing `sp` or `pc`. An unknown way of doing so is an
+//! error, and so is an encoding that the manual does not define for this core.
 
 use std::ops::Not as _;
 
-/// Where execution goes.
+/// The effect on the program counter.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Flow {
     Next,
     Jump(u32),
-    /// To the target or on.
+    /// To the target or to the next instruction.
     Branch(u32),
     Call(u32),
     /// `blx` of a register.
     CallRegister,
     /// `bx` of a register other than `lr`.
     JumpRegister,
-    /// `tbb` or `tbh`: by a table of offsets, of so many bytes each, that follows the instruction.
+    /// `tbb` or `tbh`: through a table of offsets behind the instruction, with `entry` bytes each.
     JumpTable {
         entry: u32,
     },
@@ -27,14 +27,14 @@ pub enum Flow {
     Trap,
 }
 
-/// What becomes of the stack pointer.
+/// The effect on the stack pointer.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Stack {
     Keep,
-    /// By so many bytes; a pop is negative.
+    /// The stack grows by this many bytes; a pop is negative.
     Grow(i32),
-    /// Written with an address that is none of the function's.
-    BeginAnew,
+    /// Set to an address that does not belong to the function's stack.
+    Reset,
 }
 
 /// Half of a 32-bit constant.
@@ -49,19 +49,19 @@ pub struct Instruction {
     pub length: u32,
     pub flow: Flow,
     pub stack: Stack,
-    /// `movw` or `movt`: register, which half, its value.
+    /// `movw` or `movt`: register, half, value.
     pub constant: Option<(u32, Half, u32)>,
-    /// The next instructions depend on a condition: an `it` block.
+    /// An `it` block: the next instructions depend on conditions.
     pub block: Option<Block>,
 }
 
 const PLAIN: Instruction =
     Instruction { length: 2, flow: Flow::Next, stack: Stack::Keep, constant: None, block: None };
 
-/// A condition of the flags, as it is coded: 0 is `eq`, 1 `ne`, 4 `mi`, 5 `pl`; the lowest bit turns it round.
+/// A condition code: 0 is `eq`, 1 `ne`, 4 `mi`, 5 `pl`; the lowest bit inverts it.
 pub type Condition = u32;
 
-/// What an `it` says of the instructions that follow.
+/// The conditions that an `it` gives to the instructions after it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Block {
     first: Condition,
@@ -69,9 +69,9 @@ pub struct Block {
 }
 
 impl Block {
-    /// The condition of each of them: between one and four.
+    /// Returns the condition of each instruction in the block: between one and four.
     pub fn conditions(self) -> impl Iterator<Item = Condition> {
-        // The lowest bit set ends the mask; those above it are the lowest bits of the further conditions.
+        // The lowest set bit ends the mask. The bits above it are the lowest bits of the further conditions.
         let further = (1..4 - self.mask.trailing_zeros()).map(move |n| self.mask >> (4 - n) & 1);
         std::iter::once(self.first).chain(further.map(move |lowest| self.first & !1 | lowest))
     }
@@ -83,7 +83,7 @@ pub const PC: u32 = 15;
 
 type Decoded = Result<Instruction, &'static str>;
 
-/// The instruction at `address`; `second` matters only if `first` begins a 32-bit one.
+/// Decodes the instruction at `address`; `second` matters only if `first` starts a 32-bit instruction.
 pub fn decode(address: u32, first: u16, second: u16) -> Decoded {
     let (first, second) = (u32::from(first), u32::from(second));
     if first >> 11 < 0b11101 {
@@ -101,7 +101,7 @@ fn grow(bytes: i32) -> Instruction {
     Instruction { stack: Stack::Grow(bytes), ..PLAIN }
 }
 
-/// Grows the stack by 4 bytes for each register of the list.
+/// Returns an instruction that pushes the registers of the list, 4 bytes each.
 fn push(list: u32) -> Instruction {
     grow(4 * list.count_ones() as i32)
 }
@@ -111,7 +111,7 @@ fn pop(list: u32) -> Instruction {
     Instruction { flow, ..grow(-4 * list.count_ones() as i32) }
 }
 
-/// An instruction whose one effect here is to write the register.
+/// Returns an instruction that writes a register; an error for `sp` and `pc`.
 fn writes(register: u32) -> Decoded {
     match register {
         SP => Err("writes sp"),
@@ -124,7 +124,7 @@ pub fn bit(value: u32, n: u32) -> bool {
     value >> n & 1 == 1
 }
 
-/// The target of a branch: `value` is its offset, a signed number of `bits` bits.
+/// Returns the target of a branch; `value` is its offset, a signed number of `bits` bits.
 fn target(address: u32, value: u32, bits: u32) -> u32 {
     let offset = ((value << (32 - bits)) as i32) >> (32 - bits);
     (address + 4).wrapping_add_signed(offset)
@@ -132,7 +132,7 @@ fn target(address: u32, value: u32, bits: u32) -> u32 {
 
 fn narrow(address: u32, code: u32) -> Decoded {
     Ok(match code >> 8 {
-        // Shifts, arithmetic and comparison, of r0 to r7.
+        // Shifts, arithmetic and comparison of r0 to r7
         0x00..=0x43 => PLAIN,
         // add, mov of any register
         0x44 | 0x46 => writes(code >> 4 & 8 | code & 7)?,
@@ -169,7 +169,7 @@ fn narrow(address: u32, code: u32) -> Decoded {
         0xd0..=0xdd => flow(Flow::Branch(target(address, code << 1 & 0x1fe, 9))),
         0xde => flow(Flow::Trap),
         0xe0..=0xe7 => flow(Flow::Jump(target(address, code << 1 & 0xffe, 12))),
-        _ => return Err("bkpt, svc, or none of this core's 16-bit instructions"),
+        _ => return Err("bkpt, svc, or not a 16-bit instruction of this core"),
     })
 }
 
@@ -186,13 +186,13 @@ fn wide(address: u32, first: u32, second: u32) -> Decoded {
         0xf8 | 0xf9 => single(first, second),
         0xfa if second >> 12 == 15 => writes(second >> 8 & 15),
         0xfb => {
-            // A division has ones where a long multiplication has its lower result.
+            // A division has ones in the field of a long multiplication's low result.
             if bit(first, 7) && second >> 12 == SP {
                 return Err("writes sp");
             }
             writes(second >> 8 & 15)
         }
-        _ => Err("none of this core's 32-bit instructions"),
+        _ => Err("not a 32-bit instruction of this core"),
     }
 }
 
@@ -205,10 +205,10 @@ fn multiple(first: u32, list: u32) -> Decoded {
     match (first >> 7 & 3, load) {
         (0b01, true) if base == SP && write_back => Ok(pop(list)),
         (0b10, false) if base == SP && write_back => Ok(push(list)),
-        (0b01 | 0b10, _) if base == SP && write_back => Err("sp written back by neither push nor pop"),
+        (0b01 | 0b10, _) if base == SP && write_back => Err("sp written back, but neither push nor pop"),
         (0b01 | 0b10, true) if bit(list, PC) => Err("loads pc"),
         (0b01 | 0b10, _) => Ok(PLAIN),
-        _ => Err("none of this core's 32-bit instructions"),
+        _ => Err("not a 32-bit instruction of this core"),
     }
 }
 
@@ -231,11 +231,11 @@ fn pair_or_exclusive(first: u32, second: u32) -> Decoded {
         (true, true, 0 | 1) => Err("a jump table that does not follow its instruction"),
         (true, true, 4 | 5) => writes(one),
         (true, false, 4 | 5) => writes(second & 15),
-        _ => Err("none of this core's 32-bit instructions"),
+        _ => Err("not a 32-bit instruction of this core"),
     }
 }
 
-/// Arithmetic of registers, or of a register and an immediate.
+/// Arithmetic of registers, or of a register and an immediate
 fn arithmetic(first: u32, second: u32, immediate: Option<i32>) -> Decoded {
     let (operation, sets_flags, from, to) = (first >> 5 & 15, bit(first, 4), first & 15, second >> 8 & 15);
     match (operation, immediate) {
@@ -251,7 +251,7 @@ pub fn twelve_bits(first: u32, second: u32) -> u32 {
     (first & 0x400) << 1 | second >> 4 & 0x700 | second & 0xff
 }
 
-/// A byte in one of four patterns, or a byte with its highest bit set, rotated.
+/// Expands a modified immediate: a byte in one of four patterns, or a byte with its highest bit set, rotated.
 pub fn expanded_immediate(first: u32, second: u32) -> i32 {
     let coded = twelve_bits(first, second);
     let byte = coded & 0xff;
@@ -276,7 +276,7 @@ fn plain_immediate(first: u32, second: u32) -> Decoded {
             Ok(Instruction { constant: Some((to, half, from << 12 | value)), ..writes(to)? })
         }
         0 | 10 | 16 | 18 | 20 | 22 | 24 | 26 | 28 => writes(to),
-        _ => Err("none of this core's 32-bit instructions"),
+        _ => Err("not a 32-bit instruction of this core"),
     }
 }
 
@@ -306,7 +306,7 @@ fn system(first: u32, second: u32) -> Decoded {
     match first {
         // msr
         0xf380..=0xf38f => match second & 0xff {
-            MSP => Ok(Instruction { stack: Stack::BeginAnew, ..PLAIN }),
+            MSP => Ok(Instruction { stack: Stack::Reset, ..PLAIN }),
             PSP | CONTROL => Err("another stack"),
             _ => Ok(PLAIN),
         },
@@ -315,7 +315,7 @@ fn system(first: u32, second: u32) -> Decoded {
         // mrs
         0xf3ef => writes(second >> 8 & 15),
         0xf7f0..=0xf7ff if second >> 12 == 0b1010 => Ok(flow(Flow::Trap)),
-        _ => Err("none of this core's system instructions"),
+        _ => Err("not a system instruction of this core"),
     }
 }
 
@@ -324,12 +324,12 @@ fn single(first: u32, second: u32) -> Decoded {
     let (signed, load, size) = (bit(first, 8), bit(first, 4), first >> 5 & 3);
     let (base, register) = (first & 15, second >> 12);
     if size == 3 || signed && !load {
-        return Err("none of this core's 32-bit instructions");
+        return Err("not a 32-bit instruction of this core");
     }
     let by_literal_or_offset = base == PC || bit(first, 7);
     let write_back = by_literal_or_offset.not() && bit(second, 11) && bit(second, 8);
     if by_literal_or_offset.not() && bit(second, 11).not() && second & 0x7c0 != 0 {
-        return Err("none of this core's 32-bit instructions");
+        return Err("not a 32-bit instruction of this core");
     }
     let moved = if write_back && base == SP {
         let bytes = (second & 0xff) as i32;
@@ -371,7 +371,7 @@ fn float_memory(first: u32, second: u32) -> Decoded {
         (true, false, true, _) | (false, true, true, _) if first & 15 != SP => Ok(PLAIN),
         (true, false, true, false) => Ok(grow(bytes)),
         (false, true, true, true) => Ok(grow(-bytes)),
-        _ => Err("sp written back by neither vpush nor vpop, or none of this core's instructions"),
+        _ => Err("sp written back, but neither vpush nor vpop, or not an instruction of this core"),
     }
 }
 
@@ -380,6 +380,6 @@ fn float_arithmetic(first: u32, second: u32) -> Decoded {
         return Err("a coprocessor that this core does not have");
     }
     let to_core = bit(second, 4) && bit(first, 4);
-    // vmrs to the flags is written as if to pc.
+    // vmrs to the flags is coded as a write to pc.
     if to_core && (first, second >> 12) != (0xeef1, PC) { writes(second >> 12) } else { Ok(PLAIN) }
 }

@@ -1,8 +1,9 @@
-//! The flash image is the same, whoever builds it and wherever: two copies of the sources, in folders of different
-//! length, by two users with their own home and their own CARGO_HOME.
+//! Two users build the same flash image from copies of the sources in folders of different length, each with their own
+//! home directory and CARGO_HOME.
 //!
-//! Both are built by this machine's toolchain. That another operating system gives the same bytes is not shown here, nor
-//! that a toolchain with the standard library's sources does, which was tried by hand (`.cargo/rustc` sees to it).
+//! Both builds use this machine's toolchain. This test does not show that another operating system gives the same
+//! bytes, nor that a toolchain with the standard library's sources does; the latter was checked by hand (see
+//! `.cargo/rustc`).
 
 use std::env;
 use std::ffi::OsStr;
@@ -29,13 +30,13 @@ fn run(command: &mut Command) -> Vec<u8> {
     output.stdout
 }
 
-/// A place that is under the home directory unless a variable says otherwise.
+/// Returns a directory that is below the home directory unless a variable names it.
 fn place(variable: &str, under_home: &str) -> PathBuf {
     let home = || PathBuf::from(env::var_os("HOME").expect("a home directory")).join(under_home);
     env::var_os(variable).map_or_else(home, PathBuf::from)
 }
 
-/// The sources as they are in the working tree, without what git does not know.
+/// Copies the sources of the working tree, without files that git ignores.
 fn copy_sources(to: &Path) {
     let listed = run(Command::new("git").current_dir(workspace()).args([
         "ls-files",
@@ -46,7 +47,7 @@ fn copy_sources(to: &Path) {
     ]));
     for name in String::from_utf8(listed).unwrap().split_terminator('\0') {
         let (from, to) = (workspace().join(name), to.join(name));
-        // What was removed and is still in the index is not there.
+        // A file in the index may have been deleted from the working tree.
         if from.is_file() {
             fs::create_dir_all(to.parent().unwrap()).unwrap();
             fs::copy(&from, &to).unwrap();
@@ -54,8 +55,8 @@ fn copy_sources(to: &Path) {
     }
 }
 
-/// What a user of their own, with this home, builds in `folder`. Their CARGO_HOME has the crates as they were fetched,
-/// and unpacks them for itself.
+/// Builds in `folder` as a user with this home directory, and returns the image. The user's CARGO_HOME links to the
+/// fetched crates and unpacks them again.
 fn build(folder: &Path, home: &Path) -> Vec<u8> {
     copy_sources(folder);
     let cargo_home = home.join("cargo");
@@ -81,7 +82,7 @@ fn build(folder: &Path, home: &Path) -> Vec<u8> {
         .env("RUSTUP_HOME", place("RUSTUP_HOME", ".rustup"))
         .env("HOME", home)
         .env("CARGO_HOME", cargo_home);
-    // What the surrounding build was told is none of theirs.
+    // Settings of the surrounding build must not reach this build.
     for variable in ["CARGO_TARGET_DIR", "DEFMT_LOG", "RUSTC", "RUSTFLAGS", "CARGO_ENCODED_RUSTFLAGS"] {
         command.env_remove(variable);
     }
@@ -94,7 +95,7 @@ fn build(folder: &Path, home: &Path) -> Vec<u8> {
 fn two_users_build_the_same_image() {
     // The only step that may need a network.
     run(cargo().current_dir(workspace()).args(["fetch", "--locked"]));
-    // Outside of the workspace, whose configuration would be theirs too.
+    // Outside the workspace, because its cargo configuration would apply too.
     let directory = tempfile::Builder::new().prefix("kestrel-image-").tempdir().unwrap();
     let temporary = directory.path();
     let one = build(&temporary.join("a/kestrel"), &temporary.join("a/home"));
@@ -106,12 +107,12 @@ fn two_users_build_the_same_image() {
     let place = temporary.to_str().unwrap().as_bytes();
     let named = bytes.windows(place.len()).any(|bytes| bytes == place);
     assert!(!named, "the image names {}", temporary.display());
-    assert_eq!(image_sha256(&one).unwrap(), image_sha256(&other).unwrap(), "what is flashed");
-    assert!(one == other, "the files differ, in what is not flashed");
+    assert_eq!(image_sha256(&one).unwrap(), image_sha256(&other).unwrap(), "hashes of the flashed bytes");
+    assert!(one == other, "the files differ in parts that are not flashed");
     agrees_with_objcopy(&one, temporary);
 }
 
-/// Other programs take the same bytes for what is flashed, where one is installed.
+/// Checks that objcopy programs, where installed, extract the same bytes for flashing.
 fn agrees_with_objcopy(elf: &[u8], folder: &Path) {
     let (image, flat) = (folder.join("image"), folder.join("image.bin"));
     fs::write(&image, elf).unwrap();
@@ -120,9 +121,9 @@ fn agrees_with_objcopy(elf: &[u8], folder: &Path) {
         if status.is_ok_and(|status| status.success()) {
             assert!(
                 fs::read(&flat).unwrap() == flashed_bytes(elf).unwrap().1,
-                "{program} flashes other bytes"
+                "{program} extracts other bytes"
             );
-            println!("image: {program} takes the same bytes");
+            println!("image: {program} extracts the same bytes");
         }
     }
 }

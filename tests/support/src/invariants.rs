@@ -1,4 +1,4 @@
-//! What the flight controller promises for any input, checked in each step against the inputs themselves.
+//! The invariants of the flight controller for any input, checked after each step against the inputs themselves.
 
 use std::collections::BTreeSet;
 
@@ -9,19 +9,19 @@ use flight_core::rc::link::RC_LOST_US;
 use flight_core::sample::LinkStatus;
 use flight_core::{ArmState, Config, FlightController, Input};
 
-/// A flight controller under watch.
+/// A flight controller whose invariants are checked in every step.
 pub struct CheckedController {
     controller: FlightController,
     config: Config,
     last: Last,
-    /// Names of the states that it has been in.
+    /// Names of the states reached so far.
     pub states: BTreeSet<&'static str>,
 }
 
-/// What came out of the last step, and when what last came in.
+/// The outputs of the last step, and the times of the last inputs.
 struct Last {
     step_us: Option<u64>,
-    /// Time that has passed, whatever the clock was set back to; the times below are by it.
+    /// Elapsed time, µs, unaffected when the clock is set back. The times below use this scale.
     now_us: u64,
     state: ArmState,
     pulses_us: [f32; 4],
@@ -33,7 +33,7 @@ struct Last {
 }
 
 impl CheckedController {
-    /// `None` if the configuration is refused.
+    /// Returns `None` if the configuration is refused.
     pub fn new(config: &Config) -> Option<Self> {
         let controller = FlightController::new(config).ok()?;
         let last = Last {
@@ -50,7 +50,7 @@ impl CheckedController {
         Some(Self { controller, config: *config, last, states: BTreeSet::new() })
     }
 
-    /// One step, and everything that must hold after it.
+    /// Runs one step and checks every invariant after it.
     pub fn step(&mut self, input: &Input) {
         let output = self.controller.step(input);
         let permitted = output.permit.is_some();
@@ -59,7 +59,7 @@ impl CheckedController {
         let (state, pulses_us) = (output.state, output.pulses_us);
 
         let attitude = self.controller.attitude();
-        assert!((attitude.norm_squared() - 1.0).abs() < 1e-3, "{attitude:?} is no rotation");
+        assert!((attitude.norm_squared() - 1.0).abs() < 1e-3, "{attitude:?} is not a rotation");
         let rates = <[f32; 3]>::from(self.controller.rates_rad_s());
         assert!(rates.iter().all(|rate| rate.is_finite()), "{rates:?} rad/s");
         let bias = self.controller.gyro_bias_rad_s();
@@ -76,7 +76,7 @@ impl CheckedController {
                 let airframe = &self.config.params.airframe;
                 let idle_us = stop_us + (full_us - stop_us) * (airframe.idle_rad_s / airframe.max_rad_s);
                 assert!(pulses_us.iter().all(|us| *us >= idle_us - 0.01), "{pulses_us:?}, idle is {idle_us}");
-                let allowed_us = permit.expect("flies without a permit").apply(pulses_us, stop_us);
+                let allowed_us = permit.expect("a permit in every flying state").apply(pulses_us, stop_us);
                 assert_eq!(allowed_us, pulses_us);
             }
             (ArmState::Bench, Some(permit)) => {
@@ -93,15 +93,15 @@ impl CheckedController {
         if let Some(event) = output.event {
             assert_eq!((event.from, event.to), (self.last.state, state));
             let row = rows(event.from).iter().find(|row| row.to == event.to && row.cause == event.cause);
-            assert!(row.is_some(), "{event:?} is in no row");
+            assert!(row.is_some(), "{event:?} is in no row of the arming table");
         } else {
-            assert_eq!(state, self.last.state, "a change that nobody is told of");
+            assert_eq!(state, self.last.state, "a state change without an event");
         }
 
         let since_last = self.last.step_us.map(|last_us| input.time_us.checked_sub(last_us));
         if let Some(None | Some(0)) = since_last {
-            // Time does not run backwards: nothing is taken in, and the last output stands. A clock that was set
-            // back goes on from there.
+            // Time that stands or runs backwards: the input is ignored and the last output stands. A clock that was set
+            // back by more than `IMU_LOST_US` becomes the new reference.
             if self.last.step_us.is_some_and(|last_us| last_us - input.time_us > u64::from(IMU_LOST_US)) {
                 self.last.step_us = Some(input.time_us);
             }
@@ -112,14 +112,14 @@ impl CheckedController {
             return;
         }
         self.last.now_us = self.last.now_us.saturating_add(since_last.flatten().unwrap_or(0));
-        self.take(input);
-        self.must_not_turn(input, state, permitted);
+        self.record_inputs(input);
+        self.check_motors_may_turn(input, state, permitted);
         self.last.step_us = Some(input.time_us);
         (self.last.state, self.last.pulses_us, self.last.permitted) = (state, pulses_us, permitted);
         self.states.insert(state.name());
     }
 
-    fn take(&mut self, input: &Input) {
+    fn record_inputs(&mut self, input: &Input) {
         let last = &mut self.last;
         let now_us = last.now_us;
         if input.imu.is_some_and(|sample| sample.gyro.iter().chain(&sample.accel).any(|n| *n != i16::MIN)) {
@@ -136,38 +136,38 @@ impl CheckedController {
         }
     }
 
-    /// What forbids a motor to turn, from the inputs' times alone.
-    fn must_not_turn(&self, input: &Input, state: ArmState, permitted: bool) {
+    /// Checks that no motor turns where the input times alone forbid it.
+    fn check_motors_may_turn(&self, input: &Input, state: ArmState, permitted: bool) {
         let last = &self.last;
         let age_us = |at_us: Option<u64>| at_us.map_or(u64::MAX, |at_us| last.now_us - at_us);
         if state.flies() {
             assert!(!input.health.usb, "{state:?} with USB plugged in");
             let imu_us = age_us(last.imu_us);
-            assert!(imu_us <= u64::from(IMU_LOST_US), "{state:?}, and the last sample is {imu_us} µs old");
+            assert!(imu_us <= u64::from(IMU_LOST_US), "{state:?} with a last sample {imu_us} µs old");
         }
         if state == ArmState::Armed {
             let frame_us = age_us(last.frame_us);
-            assert!(frame_us <= u64::from(RC_LOST_US), "armed, and the last frame is {frame_us} µs old");
+            assert!(frame_us <= u64::from(RC_LOST_US), "armed with a last frame {frame_us} µs old");
         }
         if state == ArmState::Armed && last.state == ArmState::Arming {
             assert!(self.config.calibration.is_some(), "armed without a calibration");
             assert!(!input.health.maintenance, "armed in maintenance");
-            let (at_us, voltage_v) = last.battery.expect("armed on an unknown battery");
+            let (at_us, voltage_v) = last.battery.expect("a battery voltage before arming");
             assert!(voltage_v >= self.config.params.min_arm_voltage_v, "armed on {voltage_v} V");
-            assert!(last.now_us - at_us <= 2_000_000, "armed on a battery measured long ago");
+            assert!(last.now_us - at_us <= 2_000_000, "armed on a battery voltage older than 2 s");
         }
         if state == ArmState::Bench && permitted {
             let command_us = age_us(last.bench_us);
             assert!(
                 command_us <= u64::from(BENCH_SILENT_US),
-                "the bench turns {command_us} µs after a command"
+                "a motor turns on the bench {command_us} µs after the last command"
             );
         }
     }
 
-    /// No number in the whole state is NaN or infinite, wherever the outputs would have hidden it.
-    pub fn state_is_finite(&self) {
-        // What was measured of the battery is kept as it came; it is only ever compared.
+    /// Checks that no number in the whole state is NaN or infinite, including those that do not reach the outputs.
+    pub fn check_state_is_finite(&self) {
+        // The measured battery voltage is stored as it came; it is only ever compared.
         let state = format!("{:?}", self.controller);
         let words = state.split([' ', ',', '(', ')', '[', ']', '{', '}']);
         let mut field = "";

@@ -1,5 +1,5 @@
-//! What the tests of several crates, and the fuzz targets, have in common: a transmitter, a vehicle on the ground, and any
-//! bytes made a flight that keeps the flight controller's promises.
+//! Shared code of the tests of several crates and of the fuzz targets: a transmitter, a vehicle on the ground, and
+//! scripts that turn any bytes into a flight whose invariants are checked.
 
 pub mod invariants;
 pub mod script;

@@ -1,7 +1,7 @@
-//! Bytes to a configuration and a flight: any bytes give one, and most flights get into the air.
+//! Turns bytes into a configuration and a flight. Any bytes are valid, and most flights get into the air.
 //!
-//! A script begins with changes to the default configuration, then lies still and arms as a pilot would (or does
-//! not), and then goes through phases in which each input is what it should be, nothing, or anything.
+//! A script begins with changes to the default configuration. Then the vehicle lies still and arms as a pilot would, or
+//! does not. Phases follow, in each of which an input is normal, missing, or arbitrary.
 
 use flight_core::calibration::{Calibration, Sensitivity, SensorCalibration};
 use flight_core::estimator::{EstimatorParams, Kinematics, Weight};
@@ -12,7 +12,7 @@ use flight_core::{Config, Params, STANDARD_GRAVITY};
 
 use crate::invariants::CheckedController;
 
-/// What a number may be by mistake.
+/// Values that a number may have by mistake.
 pub const SPECIAL: [f32; 14] = [
     0.0,
     -0.0,
@@ -23,16 +23,16 @@ pub const SPECIAL: [f32; 14] = [
     f32::MAX,
     f32::MIN,
     f32::MIN_POSITIVE,
-    1.0e-45, // the smallest there is
+    1.0e-45, // the smallest positive f32
     -1.0e-45,
     1.0e-30,
     1.0e30,
     f32::EPSILON,
 ];
-/// The powers of ten between.
+/// Powers of ten from 1e-8 to 1e8.
 pub const POWERS: [f32; 17] =
     [1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 0.1, 1.0, 10.0, 1e2, 1e3, 1e4, 1e5, 1e6, 1e7, 1e8];
-/// The filters, and the two that no preset has.
+/// The presets, and two filters that no preset has.
 pub const ESTIMATORS: [EstimatorParams; 6] = [
     EstimatorParams::FLIGHT,
     EstimatorParams::PAPER,
@@ -42,7 +42,7 @@ pub const ESTIMATORS: [EstimatorParams; 6] = [
     EstimatorParams::complementary(Kinematics::Euler, Weight::TimeConstant { tau_s: 10.0 }),
 ];
 
-/// Bytes, and zeros behind them.
+/// A source of bytes, followed by endless zeros.
 pub struct Bytes<'a>(&'a [u8]);
 
 impl<'a> Bytes<'a> {
@@ -50,7 +50,7 @@ impl<'a> Bytes<'a> {
         Self(bytes)
     }
 
-    fn are_left(&self) -> bool {
+    fn has_more(&self) -> bool {
         !self.0.is_empty()
     }
 
@@ -72,7 +72,7 @@ impl<'a> Bytes<'a> {
         self.u8() % n == n - 1
     }
 
-    /// A number in the place of `usual`.
+    /// Returns a number to replace `usual`.
     fn number(&mut self, usual: f32) -> f32 {
         match self.u8() % 8 {
             0..5 => {
@@ -96,7 +96,7 @@ fn matrix(m: &mut Mat3<f32>) -> impl Iterator<Item = &mut f32> {
     m.rows.iter_mut().flat_map(vector)
 }
 
-/// Every number of a configuration.
+/// Returns references to every number of a configuration.
 pub fn numbers(config: &mut Config) -> Vec<&mut f32> {
     let Config { params: p, calibration } = config;
     let mut all = vec![&mut p.imu_rate_hz, &mut p.mag_rate_hz];
@@ -149,7 +149,7 @@ fn config(bytes: &mut Bytes) -> Config {
         config.params.channels.arm = bytes.u8();
     }
     config.params.stuck_check.gyro = !bytes.one_in(4);
-    // Mostly none: a vehicle that is refused flies nothing.
+    // Mostly no change: a refused configuration does not fly.
     for _ in 0..(bytes.u8() % 8).saturating_sub(4) {
         let index = usize::from(bytes.u8());
         let mut numbers = numbers(&mut config);
@@ -159,13 +159,13 @@ fn config(bytes: &mut Bytes) -> Config {
     config
 }
 
-/// Three counts of a sensor.
+/// How the three counts of a sensor are generated in a phase.
 #[derive(Clone, Copy, Debug)]
 enum Counts {
-    /// Lying still and level, pointing north.
+    /// At rest, level, pointing north.
     AtRest,
     None,
-    /// The code for "invalid".
+    /// The sensor's code for an invalid sample.
     Invalid,
     Random,
     /// At the ends of the range.
@@ -210,17 +210,17 @@ impl Random {
     }
 }
 
-/// A time in which the inputs are of one kind.
+/// A part of the flight in which the inputs are of one kind.
 #[derive(Clone, Copy, Debug)]
 struct Phase {
     steps: u16,
-    /// From step to step, µs; modulo 2⁶⁴, so that time runs backwards, too.
+    /// Time from step to step, µs, modulo 2⁶⁴, so that time can also run backwards.
     dt_us: u64,
     gyro: Counts,
     accel: Counts,
     mag: Counts,
     frame: Option<RcFrame>,
-    /// Steps from frame to frame, and from field to field.
+    /// Steps from one receiver frame to the next, and from one magnetometer sample to the next.
     every: u16,
     battery: Option<Battery>,
     bench: Option<BenchCommand>,
@@ -233,7 +233,7 @@ const CENTRED: RcFrame = RcFrame {
     mode_switch: LOW_TICKS,
     status: LinkStatus::Good,
 };
-/// The arm gesture, and the switch.
+/// The arm gesture, with the arm switch on.
 const ARM: RcFrame = RcFrame {
     channels: [LOW_TICKS, CENTRE_TICKS, CENTRE_TICKS, HIGH_TICKS],
     arm_switch: HIGH_TICKS,
@@ -253,7 +253,7 @@ impl Phase {
         bench: None,
         health: Health { usb: false, maintenance: false, watchdog_reset: false, missed_deadlines: 0 },
     };
-    const ASKING: Self = Self { steps: 170, frame: Some(ARM), ..Self::AT_REST };
+    const ARM_GESTURE: Self = Self { steps: 170, frame: Some(ARM), ..Self::AT_REST };
 
     fn read(bytes: &mut Bytes) -> Self {
         let dt_us = match bytes.u8() % 16 {
@@ -277,7 +277,7 @@ impl Phase {
                 mode_switch: bytes.u16(),
                 status: LinkStatus::Good,
             }),
-            // Flying.
+            // Sticks as in flight.
             mode => Some(RcFrame {
                 channels: [(); 4].map(|()| LOW_TICKS + u16::from(bytes.u8()) * 7),
                 mode_switch: if mode < 12 { LOW_TICKS } else { HIGH_TICKS },
@@ -315,7 +315,7 @@ impl Phase {
     }
 }
 
-/// A configuration, and what happens.
+/// A configuration and the phases of a flight.
 #[derive(Clone, Debug)]
 pub struct Script {
     pub config: Config,
@@ -331,26 +331,26 @@ impl Script {
         let start_us = if bytes.one_in(8) { u64::MAX - u64::from(bytes.u32()) } else { 0 };
         let mut phases = vec![];
         if !bytes.one_in(4) {
-            phases.extend([Phase::AT_REST, Phase::ASKING]);
+            phases.extend([Phase::AT_REST, Phase::ARM_GESTURE]);
         }
-        // Always one, so that a script of no bytes flies: sticks up and forward.
+        // Always one flying phase, so that an empty script flies too: sticks up and forward.
         phases.push(Phase {
             frame: Some(RcFrame { channels: [1_500, 1_100, 1_300, 900], ..ARM }),
             ..Phase::AT_REST
         });
-        while bytes.are_left() && phases.len() < 16 {
+        while bytes.has_more() && phases.len() < 16 {
             phases.push(Phase::read(bytes));
         }
         Self { config, seed, start_us, phases }
     }
 
-    pub fn with(self, config: Config) -> Self {
+    pub fn with_config(self, config: Config) -> Self {
         Self { config, ..self }
     }
 
-    pub fn fly(&self, watched: &mut CheckedController) {
+    pub fn fly(&self, controller: &mut CheckedController) {
         let Params { accel, mag, .. } = &self.config.params;
-        // As far as the converters reach.
+        // The casts saturate at the converters' range.
         let level = [0, 0, (-STANDARD_GRAVITY / accel.per_count) as i16];
         let north = [25.0, 3.0, 41.0].map(|ut| (ut / mag.per_count) as i16);
         let mut random = Random(self.seed | 1 << 40);
@@ -360,7 +360,7 @@ impl Script {
                 let due = n.is_multiple_of(phase.every);
                 let gyro = phase.gyro.at([0; 3], &mut random);
                 let accel = phase.accel.at(level, &mut random);
-                watched.step(&Input {
+                controller.step(&Input {
                     time_us,
                     imu: gyro.zip(accel).map(|(gyro, accel)| ImuSample { gyro, accel }),
                     mag: phase.mag.at(north, &mut random).filter(|_| due).map(|counts| MagSample { counts }),
@@ -371,7 +371,7 @@ impl Script {
                 });
                 time_us = time_us.wrapping_add(phase.dt_us);
             }
-            watched.state_is_finite();
+            controller.check_state_is_finite();
         }
     }
 }

@@ -1,4 +1,4 @@
-//! A vehicle that lies on the ground, and whatever is to go wrong with it.
+//! A vehicle at rest on the ground, with faults that a test can switch on.
 
 use flight_core::arming::Event;
 use flight_core::calibration::Calibration;
@@ -6,22 +6,22 @@ use flight_core::rc::{CENTRE_TICKS, HIGH_TICKS, LOW_TICKS};
 use flight_core::sample::{Battery, BenchCommand, Health, ImuSample, Input, LinkStatus, RcFrame};
 use flight_core::{ArmState, Config, FlightController, Params};
 
-/// Throttle low, the rest centred.
+/// Throttle low, all other sticks centred.
 pub const CENTRED: [u16; 4] = [LOW_TICKS, CENTRE_TICKS, CENTRE_TICKS, CENTRE_TICKS];
 /// The arm gesture.
 pub const ARM: [u16; 4] = [LOW_TICKS, CENTRE_TICKS, CENTRE_TICKS, HIGH_TICKS];
 /// The disarm gesture.
 pub const DISARM: [u16; 4] = [LOW_TICKS, CENTRE_TICKS, CENTRE_TICKS, LOW_TICKS];
 
-/// Receiver frames are this far apart.
+/// Period of receiver frames, ms.
 const FRAME_MS: u64 = 20;
 
-/// The defaults, calibrated.
+/// The default configuration, with a calibration.
 pub fn config() -> Config {
     Config { params: Params::default(), calibration: Some(Calibration::NONE) }
 }
 
-/// The vehicle, its flight controller, and what came of it.
+/// The vehicle at rest, its flight controller, and the outputs so far.
 pub struct StillVehicle {
     controller: FlightController,
     ms: u64,
@@ -36,11 +36,11 @@ pub struct StillVehicle {
     pub shaken: bool,
     pub tilt_deg: f64,
     pub misses_a_deadline_every_ms: Option<u64>,
-    /// The changes and refusals so far.
+    /// State changes and refusals so far.
     pub events: Vec<Event>,
-    /// Whether a motor was ever permitted to turn.
+    /// Whether a motor permit was ever issued.
     pub turned: bool,
-    /// The last pulses that went out, µs.
+    /// The last pulses sent to the ESCs, µs.
     pub pulses_us: [f32; 4],
 }
 
@@ -112,7 +112,7 @@ impl StillVehicle {
         self
     }
 
-    /// One step, with this frame from the receiver.
+    /// Runs one step, with this frame from the receiver.
     pub fn step(&mut self, rc: Option<RcFrame>) {
         let ms = self.ms;
         if self.misses_a_deadline_every_ms.is_some_and(|every| ms.is_multiple_of(every)) {
@@ -147,14 +147,14 @@ impl StillVehicle {
         if self.all_zeros {
             return ImuSample::default();
         }
-        // A count of noise, which repeats after seven milliseconds and in which no axis stands still.
+        // Noise of one count with a period of seven milliseconds, in which no axis stands still.
         let noise = |axis: u64| ((self.ms + axis) % 7 % 3) as i16 - 1;
         let g = 2_048.0;
         let (sin, cos) = (libm::sin(self.tilt_deg.to_radians()), libm::cos(self.tilt_deg.to_radians()));
         let turn = if self.shaken && (self.ms / 100).is_multiple_of(2) { 164 } else { 0 };
         let mut sample = ImuSample {
             gyro: [noise(0) + turn, noise(1), noise(2)],
-            // Rolled to the right, specific force points up: to the left in body axes.
+            // Rolled to the right, the specific force points up, which is to the left in body axes.
             accel: [noise(3), (-g * sin) as i16 + noise(4), (-g * cos) as i16 + noise(5)],
         };
         if self.axis_stuck {

@@ -1,8 +1,8 @@
-//! The other end of the wire: both protocols written once more, bit by bit, and the time that bytes take.
+//! The sending side of the receiver's wire: an independent encoder of both protocols, bit by bit, and the byte times.
 
 use receiver::{Frame, Protocol, Receiver};
 
-/// 16 channels of 11 bits, the lowest bit first.
+/// Packs 16 channels of 11 bits, lowest bit first.
 pub fn pack(channels: &[u16; 16]) -> [u8; 22] {
     let mut packed = [0; 22];
     for bit in 0..176 {
@@ -31,12 +31,12 @@ pub fn crsf_channels(channels: &[u16; 16]) -> Vec<u8> {
     crsf(0xc8, 0x16, &pack(channels))
 }
 
-/// Link statistics with an uplink quality, %.
+/// Returns a frame of link statistics with this uplink quality, %.
 pub fn crsf_quality(percent: u8) -> Vec<u8> {
     crsf(0xc8, 0x14, &[60, 70, percent, 10, 0, 2, 3, 80, 99, 9])
 }
 
-/// A frame of channels in either protocol.
+/// Returns a frame of channels in the given protocol.
 pub fn channels(protocol: Protocol, channels: &[u16; 16]) -> Vec<u8> {
     match protocol {
         Protocol::Sbus => sbus(channels, 0, 0),
@@ -46,20 +46,20 @@ pub fn channels(protocol: Protocol, channels: &[u16; 16]) -> Vec<u8> {
 
 pub const BOTH: [Protocol; 2] = [Protocol::Sbus, Protocol::Crsf];
 
-/// When the `n`th of bytes that follow each other has been received, µs after the first one began.
+/// Returns when the `n`th of consecutive bytes has been received, µs after the start of the first one.
 pub fn received_us(protocol: Protocol, n: usize) -> u64 {
     let line = protocol.line();
     let bits = 1 + 8 + u64::from(line.even_parity) + u64::from(line.stop_bits);
     (n as u64 + 1) * bits * 1_000_000 / u64::from(line.baud)
 }
 
-/// Pushes `bytes` that follow each other on the wire, the first one beginning at `start_us`.
+/// Pushes consecutive `bytes`, the first of which starts at `start_us`, and returns the frames received.
 pub fn send(receiver: &mut Receiver, protocol: Protocol, start_us: u64, bytes: &[u8]) -> Vec<Frame> {
     let times = (0..).map(|n| start_us + received_us(protocol, n));
     bytes.iter().zip(times).filter_map(|(byte, time_us)| receiver.push(*byte, time_us)).collect()
 }
 
-/// A receiver that has heard a byte long ago, and so expects a frame.
+/// Returns a receiver whose last byte is long ago, so that it expects the start of a frame.
 pub fn listening(protocol: Protocol) -> Receiver {
     let mut receiver = Receiver::new(protocol);
     receiver.push(0, 0);

@@ -1,4 +1,4 @@
-//! No NaN and no infinity leaves flight-core, and no motor turns without a permit, whatever comes in.
+//! For any input, flight-core outputs no NaN and no infinity, and no motor turns without a permit.
 
 use std::collections::BTreeSet;
 use std::sync::Mutex;
@@ -9,22 +9,22 @@ use proptest::test_runner::TestRunner;
 use test_support::invariants::CheckedController;
 use test_support::script::{self, Bytes, Script};
 
-/// The states that a script went through; `None` for a configuration that was refused.
+/// Flies a script and returns the states that it reached; `None` if the configuration was refused.
 fn fly(bytes: &[u8]) -> Option<BTreeSet<&'static str>> {
     let script = Script::read(&mut Bytes::new(bytes));
-    let mut watched = CheckedController::new(&script.config)?;
-    script.fly(&mut watched);
-    Some(watched.states)
+    let mut controller = CheckedController::new(&script.config)?;
+    script.fly(&mut controller);
+    Some(controller.states)
 }
 
-/// Scripts at random keep the promises, and go everywhere: each state is reached, and of the configurations
-/// neither all nor none are refused.
+/// Random scripts keep the invariants. Together they reach every state, and some but not all of their configurations
+/// are refused.
 #[test]
-fn whatever_comes_in() {
+fn random_scripts_keep_invariants_and_reach_every_state() {
     let reached = Mutex::new(BTreeSet::new());
     let refused = Mutex::new(0_u32);
     let usual = ProptestConfig::default().cases.max(2_000);
-    // A step takes Miri a hundredth of a second: it sees one short flight, and not the odds.
+    // A step takes Miri a hundredth of a second: under Miri one short flight runs, and the shares are not checked.
     let (cases, longest) = if cfg!(miri) { (1, 40) } else { (usual, 400) };
     let mut runner = TestRunner::new(ProptestConfig { cases, ..ProptestConfig::default() });
     runner
@@ -45,11 +45,11 @@ fn whatever_comes_in() {
     assert_eq!(*reached.lock().unwrap(), all);
 }
 
-/// A scene, a file or a link may bring any configuration. One number out of a hundred that is wrong is refused
-/// with its name and range, or harmless.
+/// A scene, a file or a link may deliver any configuration. One wrong number out of a hundred is either refused with
+/// its name and range, or harmless.
 #[test]
 #[cfg_attr(miri, ignore = "20,000 flights")]
-fn every_number_of_a_configuration_may_be_anything() {
+fn config_numbers_of_any_value_are_refused_or_harmless() {
     let defaults = Config { params: Params::default(), calibration: Some(flight_core::Calibration::NONE) };
     let count = script::numbers(&mut defaults.clone()).len();
     for index in 0..count {
@@ -60,15 +60,15 @@ fn every_number_of_a_configuration_may_be_anything() {
                 *script::numbers(&mut config)[index] = value;
                 match FlightController::new(&config) {
                     Err(error) => {
-                        // The first field out of range, and what is said of it is true.
+                        // The error names the first field out of range; its range is true.
                         let within = error.value >= error.minimum && error.value <= error.maximum;
                         let edge = error.value == error.minimum || error.value == error.maximum;
                         assert!(!within || (error.exclusive && edge), "{error}");
                     }
                     Ok(_) => {
-                        let mut watched = CheckedController::new(&config).unwrap();
-                        let script = Script::read(&mut Bytes::new(&[])).with(config);
-                        script.fly(&mut watched);
+                        let mut controller = CheckedController::new(&config).unwrap();
+                        let script = Script::read(&mut Bytes::new(&[])).with_config(config);
+                        script.fly(&mut controller);
                     }
                 }
             }
@@ -76,34 +76,34 @@ fn every_number_of_a_configuration_may_be_anything() {
     }
 }
 
-/// Every number at the two ends of its range, as the refusal of what is beyond them says; and then all of the controller's
-/// gains and limits at their largest at once.
+/// Sets every number to both ends of its range, as the error for NaN gives them. Then sets all gains and limits of the
+/// controller to their maximum at once.
 #[test]
 #[cfg_attr(miri, ignore = "200 flights")]
-fn every_number_of_a_configuration_may_be_at_its_limit() {
+fn config_numbers_at_their_limits_are_harmless() {
     let defaults = Config { params: Params::default(), calibration: Some(flight_core::Calibration::NONE) };
     let count = script::numbers(&mut defaults.clone()).len();
     let fly = |config: Config| {
-        let mut watched = CheckedController::new(&config)?;
-        Script::read(&mut Bytes::new(&[])).with(config).fly(&mut watched);
+        let mut controller = CheckedController::new(&config)?;
+        Script::read(&mut Bytes::new(&[])).with_config(config).fly(&mut controller);
         Some(())
     };
     let (mut flown, mut all_gains, mut gains) = (0, defaults, 0);
     for index in 0..count {
         let mut config = defaults;
         *script::numbers(&mut config)[index] = f32::NAN;
-        let beyond = FlightController::new(&config).expect_err("NaN is no configuration");
-        for limit in [beyond.minimum, beyond.maximum] {
+        let error = FlightController::new(&config).expect_err("NaN is refused");
+        for limit in [error.minimum, error.maximum] {
             *script::numbers(&mut config)[index] = limit;
             flown += usize::from(fly(config).is_some());
         }
-        if beyond.field.starts_with("control.") {
-            *script::numbers(&mut all_gains)[index] = beyond.maximum;
+        if error.field.starts_with("control.") {
+            *script::numbers(&mut all_gains)[index] = error.maximum;
             gains += 1;
         }
     }
-    // A matrix is refused by what all of its numbers make together, and a limit may be beyond another one's.
-    assert!(flown > count, "{flown} of {count} numbers' limits are taken");
+    // A matrix may be refused for its determinant or shape, and a limit may contradict another one.
+    assert!(flown > count, "{flown} limits of {count} numbers are accepted");
     assert!(gains >= 18, "{gains} gains and limits of the controller");
-    fly(all_gains).expect("all gains at their largest are a configuration");
+    fly(all_gains).expect("a configuration with all gains at their maximum is accepted");
 }

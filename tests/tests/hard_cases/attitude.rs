@@ -1,4 +1,4 @@
-//! Attitudes at which angles, axes or norms come to an end.
+//! Attitudes at which angles, axes or norms have a singularity or a limit.
 
 use std::f64::consts::PI;
 
@@ -10,14 +10,15 @@ use crate::truth::{Body, double, is_accurate, rotation, single, tau_s};
 const DEGREE: f64 = PI / 180.0;
 const DT_S: f64 = 1e-3;
 
-/// Turns with consistent sensors leave rounding only: in a step f32 loses up to 3 ε in the product and the
-/// normalisation, 3.6e-7 rad, with a random sign, and the correction forgets it over τ: √(τ/2Δt) of them remain,
-/// 2.5e-5 rad with τ = 10 s. A systematic 1e-9 rad/s of what is left of the rate in f32 adds its τ. A fiftieth of a degree
-/// is ten times the sum.
+/// Bound of the error that turns with consistent sensors leave, which is rounding only. A step in f32 loses up to 3 ε
+/// in the product and the normalisation, 3.6e-7 rad, with a random sign. The correction forgets it over τ, so that
+/// √(τ/2Δt) of them remain: 2.5e-5 rad with τ = 10 s. A systematic 1e-9 rad/s from the rounding of the rate adds τ
+/// times itself.
+/// 0.02° is ten times the sum.
 const ROUNDING_DEG: f64 = 0.02;
 
-/// Legs of a turn: rate, rad/s, and time, s. Returns the worst error of an accurate estimator over all of it; of the
-/// others only that it stays finite.
+/// Flies legs, each with a rate, rad/s, and a time, s, and checks the error in every step: accurate presets must keep
+/// [`ROUNDING_DEG`], all presets must stay finite.
 fn fly(name: &str, params: &EstimatorParams, legs: &[(Vec3<f64>, f64)]) -> Body {
     let mut body = Body::at(Quaternion::IDENTITY, params);
     let mut worst = 0.0_f64;
@@ -33,10 +34,10 @@ fn fly(name: &str, params: &EstimatorParams, legs: &[(Vec3<f64>, f64)]) -> Body 
     body
 }
 
-/// An Euler preset is right again 5 τ after it has left the vertical: of half a turn e⁻⁵ is left in roll and in pitch,
-/// 1.2° each. Its heading is turned level by them, and so comes after them: (1 + 5) e⁻⁵ of half a turn, 7°; after
-/// 10 τ it is 0.09°.
-fn is_back(name: &str, params: &EstimatorParams, mut body: Body) {
+/// Checks that an estimator is accurate again at rest. After leaving the vertical, an Euler preset needs 5 τ: of half a
+/// turn e⁻⁵ remains in roll and in pitch, 1.2° each. They also rotate its heading, which therefore lags behind:
+/// (1 + 5) e⁻⁵ of half a turn, 7°; after 10 τ it is 0.09°.
+fn check_recovers(name: &str, params: &EstimatorParams, mut body: Body) {
     let tau_steps = (tau_s(params) / DT_S).round() as u32;
     let rest = |body: &mut Body, taus: u32| (0..taus * tau_steps).for_each(|_| body.turn(Vec3::ZERO, DT_S));
     rest(&mut body, 5);
@@ -46,15 +47,15 @@ fn is_back(name: &str, params: &EstimatorParams, mut body: Body) {
 }
 
 #[test]
-fn pitch_through_the_vertical_slowly_fast_and_parked_there() {
+fn pitch_through_the_vertical_keeps_or_regains_accuracy() {
     let pitch = |deg_s: f64| vec3(0.0, deg_s * DEGREE, 0.0);
     for (name, params) in EstimatorParams::PRESETS {
-        // Over the top and on to level.
+        // A full turn in pitch, through both verticals.
         for deg_s in [10.0, 90.0, 1_000.0] {
             let body = fly(name, &params, &[(pitch(deg_s), 360.0 / deg_s)]);
-            is_back(name, &params, body);
+            check_recovers(name, &params, body);
         }
-        // Up, ten seconds there, a turn about the long axis while it stands, and down again.
+        // Pitch up, ten seconds at the vertical, a turn about the long axis there, and down again.
         let parked = [
             (pitch(45.0), 2.0),
             (Vec3::ZERO, 10.0),
@@ -62,9 +63,9 @@ fn pitch_through_the_vertical_slowly_fast_and_parked_there() {
             (pitch(-45.0), 2.0),
         ];
         let body = fly(name, &params, &parked);
-        is_back(name, &params, body);
-        // The largest turns that a sample may be, from the vertical itself, where the cosine in f32 is 4e-8: what comes of
-        // them must still be angles that have a sine.
+        check_recovers(name, &params, body);
+        // The largest turns of one sample, starting at the vertical, where the cosine in f32 is 4e-8: the resulting
+        // angles must still have a sine.
         for k in 1..1_000 {
             let mut body = Body::at(rotation(vec3(0.0, 0.5 * PI, 0.0)), &params);
             let gyro = single(vec3(0.0, 3.0, 9.9) * f64::from(k));
@@ -76,11 +77,11 @@ fn pitch_through_the_vertical_slowly_fast_and_parked_there() {
 }
 
 #[test]
-fn inverted_flight() {
+fn inverted_flight_keeps_accuracy() {
     let roll = |deg_s: f64| vec3(deg_s * DEGREE, 0.0, 0.0);
     for (name, params) in EstimatorParams::PRESETS {
         let body = fly(name, &params, &[(roll(180.0), 1.0), (Vec3::ZERO, 30.0)]);
-        // Not the vertical: no angle ends here.
+        // Inverted is not vertical: no Euler angle is singular here.
         assert!(body.error_deg() < ROUNDING_DEG, "{name}: {}°", body.error_deg());
         assert!(body.estimator.down().z < -0.999);
         fly(name, &params, &[(roll(180.0), 1.0), (vec3(0.0, 0.0, 1.0), 6.0), (roll(-180.0), 1.0)]);
@@ -88,7 +89,7 @@ fn inverted_flight() {
 }
 
 #[test]
-fn yaw_goes_round_and_round() {
+fn repeated_yaw_turns_keep_accuracy() {
     for (name, params) in EstimatorParams::PRESETS {
         for deg_s in [90.0, -400.0] {
             let body = fly(name, &params, &[(vec3(0.0, 0.0, deg_s * DEGREE), 20.0)]);
@@ -98,25 +99,25 @@ fn yaw_goes_round_and_round() {
 }
 
 #[test]
-fn spins_at_the_end_of_a_gyroscopes_range() {
+fn spins_at_the_gyroscope_range_keep_or_regain_accuracy() {
     for (name, params) in EstimatorParams::PRESETS {
         for axis in [vec3(1.0, 0.0, 0.0), vec3(0.0, 1.0, 0.0), vec3(0.0, 0.0, 1.0), vec3(0.6, 0.64, 0.48)] {
-            // A rate in f32 is off by up to 3.5e-8 of itself, 1.2e-6 rad/s here, and leaves that times τ: 7e-4°.
+            // A rate in f32 has an error of up to 3.5e-8 of itself, 1.2e-6 rad/s here. It leaves that times τ: 7e-4°.
             let body = fly(name, &params, &[(axis * (2_000.0 * DEGREE), 10.0)]);
-            is_back(name, &params, body);
+            check_recovers(name, &params, body);
         }
     }
 }
 
-/// Euler's equations of a free body, and their attitude, by RK4 in f64.
+/// A free body by Euler's equations, integrated by RK4 in f64.
 struct Tumbling {
     rates: Vec3<f64>,
 }
 
 impl Tumbling {
-    /// The mean rate of the next step.
+    /// Advances by one step and returns its mean rate.
     fn step(&mut self, dt_s: f64) -> Vec3<f64> {
-        // The middle axis is the unstable one.
+        // Rotation about the intermediate axis is unstable.
         let [ix, iy, iz] = [1.0, 2.0, 3.0];
         let slope = |w: Vec3<f64>| {
             vec3((iy - iz) / ix * w.y * w.z, (iz - ix) / iy * w.z * w.x, (ix - iy) / iz * w.x * w.y)
@@ -132,7 +133,7 @@ impl Tumbling {
 }
 
 #[test]
-fn an_hour_of_tumbling_about_the_intermediate_axis() {
+fn hour_of_tumbling_on_intermediate_axis_keeps_accuracy() {
     for (name, params) in EstimatorParams::PRESETS {
         let mut body = Body::at(Quaternion::IDENTITY, &params);
         let mut tumbling = Tumbling { rates: vec3(0.02, 6.0, 0.01) };
@@ -151,27 +152,27 @@ fn an_hour_of_tumbling_about_the_intermediate_axis() {
 }
 
 #[test]
-fn an_hour_of_integration_in_f32_drifts_by_rounding_only() {
-    // An hour in free fall, without a field: what f32 loses in a step adds up. 3.6 million steps of 3 ε each, all of one
-    // sign, would be 1.3 rad; of random sign, 6.8e-4 rad. The reading's own rounding, 3e-8 of 6 rad/s, is 6.5e-4 rad in
-    // an hour if it never changed its sign. 0.25° is three times the sum.
+fn hour_of_f32_integration_drifts_by_rounding_only() {
+    // An hour in free fall without a field: the rounding errors of f32 add up. 3.6 million steps of 3 ε each would be
+    // 1.3 rad with equal signs; with random signs they are 6.8e-4 rad. The rounding of the rate itself, 3e-8 of 6
+    // rad/s, is 6.5e-4 rad in an hour if its sign never changed. 0.25° is three times the sum.
     for (name, params) in EstimatorParams::PRESETS.into_iter().filter(|(name, _)| is_accurate(name)) {
         let mut body = Body::at(Quaternion::IDENTITY, &params);
         let mut tumbling = Tumbling { rates: vec3(0.02, 6.0, 0.01) };
         for _ in 0..3_600_000 {
-            body.turn_blind(tumbling.step(DT_S), DT_S);
+            body.turn_without_references(tumbling.step(DT_S), DT_S);
         }
         assert!(body.error_deg() < 0.25, "{name}: {}°", body.error_deg());
     }
 }
 
-/// Half turns to the last bit, which no rotation vector in f64 is: here sines are 0, and not 1e-16.
+/// Exact half turns, which no rotation vector in f64 gives: here sines are 0, and not 1e-16.
 const HALF_TURNS: [Quaternion<f64>; 2] =
     [Quaternion::new(0.0, 1.0, 0.0, 0.0), Quaternion::new(0.0, 0.0, 1.0, 0.0)];
 
 #[test]
-fn half_a_turn_wrong_in_any_direction_is_found_back() {
-    // The axis of the shortest way back is not there: any will do, but one must be taken.
+fn estimate_wrong_by_half_a_turn_recovers() {
+    // The shortest rotation back has no unique axis: any one will do, but the filter must choose one.
     let axes = [vec3(1.0, 0.0, 0.0), vec3(0.0, 1.0, 0.0), vec3(0.6, 0.8, 0.0), vec3(-0.8, 0.6, 0.0)];
     let attitudes = [Quaternion::IDENTITY, rotation(vec3(0.0, 0.0, 2.0)), rotation(vec3(0.0, 0.5 * PI, 0.0))];
     for (name, params) in EstimatorParams::PRESETS {
@@ -179,7 +180,7 @@ fn half_a_turn_wrong_in_any_direction_is_found_back() {
             for wrong in axes.map(|axis| rotation(axis * PI)).into_iter().chain(HALF_TURNS) {
                 let mut body = Body::at(attitude * wrong, &params);
                 body.attitude = attitude;
-                // A field that turns with the start is given up after a minute; 12 τ are 120 s.
+                // `robust` gives up a field that contradicts its start after a minute; 12 τ are 120 s.
                 for _ in 0..20_000 {
                     body.turn(Vec3::ZERO, 0.01);
                     assert!(body.error_deg().is_finite(), "{name}");
@@ -194,8 +195,8 @@ fn half_a_turn_wrong_in_any_direction_is_found_back() {
 }
 
 #[test]
-fn a_start_upside_down_or_on_its_nose_is_right_from_the_first_sample() {
-    // Upside down there is no shortest way, and (1 + cos, sin) of the angle is the quaternion zero.
+fn inverted_or_vertical_start_is_right_at_first_sample() {
+    // Inverted, the shortest rotation is not unique, and (1 + cos, sin) of the angle is the zero quaternion.
     let ways = [vec3(PI, 0.0, 0.0), vec3(PI - 1e-4, 0.0, 0.0), vec3(0.0, 0.5 * PI, 0.0)].map(rotation);
     for (name, params) in EstimatorParams::PRESETS {
         for way in ways.into_iter().chain(HALF_TURNS) {
@@ -204,7 +205,7 @@ fn a_start_upside_down_or_on_its_nose_is_right_from_the_first_sample() {
                 let first = body.inclination_deg();
                 assert!(first < ROUNDING_DEG, "{name}, {way:?}: {first}°");
                 (0..30_000).for_each(|_| body.turn(Vec3::ZERO, DT_S));
-                // On its nose the heading of Euler angles is anything.
+                // At the vertical the heading of Euler angles is undefined.
                 let error = if is_accurate(name) { body.error_deg() } else { body.inclination_deg() };
                 assert!(error < ROUNDING_DEG, "{name}, {way:?}: {error}°");
             }
@@ -212,13 +213,13 @@ fn a_start_upside_down_or_on_its_nose_is_right_from_the_first_sample() {
     }
 }
 
-/// Each update ends with a normalisation, which leaves 2 ε: nothing to add up.
+/// Bound of the norm's error: each update ends with a normalisation that leaves 2 ε, and nothing accumulates.
 const NORM: f64 = 4.0 * f32::EPSILON as f64;
 
 #[test]
-#[ignore = "10⁹ updates of each filter: a minute and more; .ci/run runs it"]
-fn a_billion_updates_leave_a_unit_quaternion() {
-    // Anything that sensors show, over and over: every branch of the filters is taken.
+#[ignore = "10⁹ updates of each filter: more than a minute; .ci/nightly runs it"]
+fn billion_updates_keep_a_unit_quaternion() {
+    // Random samples, repeated, so that every branch of the filters is taken.
     let mut state = 7_u32;
     let mut random = |scale: f32| {
         state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
@@ -246,12 +247,12 @@ fn a_billion_updates_leave_a_unit_quaternion() {
 }
 
 #[test]
-fn the_norm_does_not_drift() {
+fn quaternion_norm_does_not_drift() {
     let mut tumbling = Tumbling { rates: vec3(0.3, 4.0, -2.0) };
     for (name, params) in EstimatorParams::PRESETS {
         let mut body = Body::at(rotation(vec3(0.3, -0.2, 1.0)), &params);
         for _ in 0..1_000_000 {
-            body.turn_blind(tumbling.step(DT_S), DT_S);
+            body.turn_without_references(tumbling.step(DT_S), DT_S);
             let norm = double(body.estimator.attitude()).norm_squared().sqrt();
             assert!((norm - 1.0).abs() < NORM, "{name}: {norm}");
         }

@@ -1,4 +1,4 @@
-//! Demands that no rotor can meet, and loops that wind up.
+//! Demands beyond the rotors' limits, and integrator windup.
 
 use flight_core::ArmState;
 use flight_core::control::{ControlParams, Controller};
@@ -9,11 +9,11 @@ use proptest::prelude::*;
 use sim_host::flight::Flight;
 use sim_host::scene::Scene;
 
-/// Rotors' squared speeds from the four axes, in the mixer's units.
+/// Signs of thrust, roll, pitch and yaw in the squared speed of each rotor.
 const SIGNS: [[f64; 4]; 4] =
     [[1.0, 1.0, 1.0, 1.0], [1.0, -1.0, 1.0, -1.0], [1.0, -1.0, -1.0, 1.0], [1.0, 1.0, -1.0, -1.0]];
 
-/// The demand in squared speeds: thrust, roll, pitch, yaw.
+/// Returns the demand in squared speeds: thrust, roll, pitch, yaw.
 fn in_squares(demand: &Wrench) -> [f64; 4] {
     let a = Airframe::OS4;
     let (b, d, l) =
@@ -23,8 +23,8 @@ fn in_squares(demand: &Wrench) -> [f64; 4] {
     [f64::from(demand.thrust_n) / (4.0 * b), x * tilt, y * tilt, z / (4.0 * d)]
 }
 
-/// The largest x in [0, 1] for which some y lets every constraint p x + q y ≤ r hold: a linear program in two unknowns,
-/// by its vertices.
+/// Returns the largest x in [0, 1] for which some y satisfies every constraint p x + q y ≤ r: a linear program in two
+/// unknowns, solved by its vertices.
 fn largest(constraints: &[[f64; 3]]) -> Option<f64> {
     let mut all = constraints.to_vec();
     all.extend([[1.0, 0.0, 1.0], [-1.0, 0.0, 0.0]]);
@@ -45,8 +45,8 @@ fn largest(constraints: &[[f64; 3]]) -> Option<f64> {
     best
 }
 
-/// What the order of the mixer's documentation comes to: the largest share of roll and pitch that any collective allows,
-/// then the largest share of yaw with it, then the collective nearest to the wanted one.
+/// Returns the squared speeds by the priorities in the mixer's documentation: the largest share of roll and pitch that
+/// any collective allows, then the largest share of yaw with it, then the collective nearest to the demanded one.
 fn optimum(demand: &Wrench) -> ([f64; 4], [f64; 2]) {
     let a = Airframe::OS4;
     let (low, high) = (f64::from(a.idle_rad_s).powi(2), f64::from(a.max_rad_s).powi(2));
@@ -58,17 +58,17 @@ fn optimum(demand: &Wrench) -> ([f64; 4], [f64; 2]) {
     let tilt_share = largest(&rows(&|n| tilt[n], &|_| 0.0)).unwrap();
     let yaw_share = largest(&rows(&|n| SIGNS[n][3] * yaw, &|n| tilt_share * tilt[n])).unwrap();
     let offsets: Vec<f64> = (0..4).map(|n| tilt_share * tilt[n] + yaw_share * SIGNS[n][3] * yaw).collect();
-    let most = offsets.iter().copied().fold(f64::MIN, f64::max);
-    let least = offsets.iter().copied().fold(f64::MAX, f64::min);
-    let collective = thrust.min(high - most).max(low - least);
+    let max = offsets.iter().copied().fold(f64::MIN, f64::max);
+    let min = offsets.iter().copied().fold(f64::MAX, f64::min);
+    let collective = thrust.min(high - max).max(low - min);
     ([0, 1, 2, 3].map(|n| collective + offsets[n]), [tilt_share, yaw_share])
 }
 
-fn is_the_optimum(demand: Wrench) -> Result<(), TestCaseError> {
+fn check_optimum(demand: Wrench) -> Result<(), TestCaseError> {
     let mixer = Mixer::new(&Airframe::OS4).unwrap();
     let (squares, _) = mixer.mix(&demand);
     let (best, shares) = optimum(&demand);
-    // Of numbers as large as the demand's, f32 loses some ε.
+    // f32 loses some ε of numbers as large as the demand's.
     let size = in_squares(&demand).into_iter().fold(1e5, |size: f64, part| size.max(part.abs()));
     for (got, best) in squares.into_iter().zip(best) {
         let off = (f64::from(got) - best).abs();
@@ -78,13 +78,13 @@ fn is_the_optimum(demand: Wrench) -> Result<(), TestCaseError> {
 }
 
 #[test]
-fn every_corner_of_the_command_cube_is_the_linear_programs_optimum() {
-    let most = 1.04_f32;
+fn mixer_at_command_corners_equals_the_linear_program() {
+    let limit = 1.04_f32;
     for thrust_n in [0.0, 3.0, 6.4, 12.74, -5.0, 100.0] {
-        for x in [-2.0 * most, -most, -0.5 * most, 0.0, 0.5 * most, most, 2.0 * most] {
-            for y in [-2.0 * most, -most, 0.0, 0.7 * most, most] {
+        for x in [-2.0 * limit, -limit, -0.5 * limit, 0.0, 0.5 * limit, limit, 2.0 * limit] {
+            for y in [-2.0 * limit, -limit, 0.0, 0.7 * limit, limit] {
                 for z in [-0.3, -0.153, 0.0, 0.05, 0.153, 0.3] {
-                    is_the_optimum(Wrench { thrust_n, torque_n_m: vec3(x, y, z) }).unwrap();
+                    check_optimum(Wrench { thrust_n, torque_n_m: vec3(x, y, z) }).unwrap();
                 }
             }
         }
@@ -93,16 +93,16 @@ fn every_corner_of_the_command_cube_is_the_linear_programs_optimum() {
 
 proptest! {
     #[test]
-    fn any_demand_is_the_linear_programs_optimum(
+    fn mixer_of_any_demand_equals_the_linear_program(
         thrust_n in -10.0_f32..30.0, x in -3.0_f32..3.0, y in -3.0_f32..3.0, z in -0.6_f32..0.6,
     ) {
-        is_the_optimum(Wrench { thrust_n, torque_n_m: vec3(x, y, z) })?;
+        check_optimum(Wrench { thrust_n, torque_n_m: vec3(x, y, z) })?;
     }
 }
 
 #[test]
-fn a_minute_of_winding_up_is_let_go_within_the_integrators_limit() {
-    // Held by a hand for a minute, 30° off: the integrator goes to its limit and no further.
+fn integrator_stays_in_its_limit_in_a_minute_of_windup() {
+    // The vehicle is held at 30° for a minute: the integrator goes to its limit and no further.
     let params = ControlParams::OS4;
     let inertia = Airframe::OS4.inertia_kg_m2;
     let mut controller = Controller::new(&params, inertia).unwrap();
@@ -119,7 +119,7 @@ fn a_minute_of_winding_up_is_let_go_within_the_integrators_limit() {
     }
     let wound = (torque.x - first.x).abs() / inertia.x;
     assert!(wound <= params.max_integral_rad_s2.x * 1.01, "{wound}");
-    // Cut by the mixer, it does not wind up at all.
+    // While the mixer saturates, the integrator does not wind up at all.
     let mut cut = Controller::new(&params, inertia).unwrap();
     cut.set_sticks(&Sticks { throttle: 0.5, roll: 0.0, pitch: 0.0, yaw: 0.0 }, FlightMode::Angle);
     let full = Saturation { roll_pitch: true, yaw: true };
@@ -129,8 +129,8 @@ fn a_minute_of_winding_up_is_let_go_within_the_integrators_limit() {
 }
 
 #[test]
-fn motors_that_are_slower_than_a_step_of_control() {
-    // 50 ms of lag are fifty steps; at 150 ms the loop of the default gains is slow, and still holds.
+fn motors_slower_than_a_control_step_fly() {
+    // 50 ms of lag are fifty control steps. At 150 ms the loop with the default gains is slow but stable.
     for tau_s in [0.001, 0.02, 0.1, 0.15] {
         let text = format!("include = \"steps\"\n[effects.vehicle.motor_lag]\ntau_s = {tau_s}\n");
         let scene = Scene::parse("slow.toml", &text).unwrap();

@@ -1,10 +1,10 @@
-//! The prefilter in f32, against the same one in f64.
+//! The prefilter in f32, compared with the same filter in f64.
 
 use std::f64::consts::{PI, SQRT_2};
 
 use flight_core::prefilter::{Biquad, Section};
 
-/// A Butterworth low-pass of 2nd order in f64, in direct form I: another structure.
+/// A 2nd-order Butterworth low-pass in f64, in direct form I, which is a different structure.
 struct Exact {
     b0: f64,
     a: [f64; 2],
@@ -27,8 +27,8 @@ impl Exact {
     }
 }
 
-/// Largest difference from f64 over these samples, and from the first on settled.
-fn apart(cutoff_hz: f32, rate_hz: f32, samples: impl Iterator<Item = f32>) -> f64 {
+/// Returns the largest difference from f64 over these samples, with both filters settled on the first one.
+fn max_difference(cutoff_hz: f32, rate_hz: f32, samples: impl Iterator<Item = f32>) -> f64 {
     let design = Biquad::butterworth(cutoff_hz, rate_hz).unwrap();
     let mut samples = samples.peekable();
     let first = *samples.peek().unwrap();
@@ -43,30 +43,31 @@ fn apart(cutoff_hz: f32, rate_hz: f32, samples: impl Iterator<Item = f32>) -> f6
         .fold(0.0, f64::max)
 }
 
-/// What rounding may leave, as a share of the largest input: the gain of the rounded coefficients is off by 9e-8 over
-/// 1 + a₁ + a₂ = (2π f/f_s)², and a step's 4 ε of rounding come through with the same gain.
-fn share_lost(cutoff_hz: f32, rate_hz: f32) -> f64 {
+/// Returns the error that rounding may leave, as a share of the largest input: the rounded coefficients have a gain
+/// error of 9e-8 over 1 + a₁ + a₂ = (2π f/f_s)², and the 4 ε of rounding in a step pass with the same gain.
+fn rounding_share(cutoff_hz: f32, rate_hz: f32) -> f64 {
     (9e-8 + 4.0 * f64::from(f32::EPSILON)) / (2.0 * PI * f64::from(cutoff_hz) / f64::from(rate_hz)).powi(2)
         + 1e-6
 }
 
 #[test]
-fn thirty_hertz_at_8_and_32_khz() {
+fn prefilter_of_30_hz_at_8_and_32_khz_matches_f64() {
     for rate_hz in [8_000.0, 32_000.0] {
-        // A step of full scale, and a second of it.
+        // A step of full scale, followed for a second.
         let samples = (0..rate_hz as u32).map(|k| if k < 10 { -2_000.0 } else { 2_000.0 });
-        let apart = apart(30.0, rate_hz, samples);
-        assert!(apart < 4_000.0 * share_lost(30.0, rate_hz), "{rate_hz} Hz: {apart}");
+        let max_difference = max_difference(30.0, rate_hz, samples);
+        assert!(max_difference < 4_000.0 * rounding_share(30.0, rate_hz), "{rate_hz} Hz: {max_difference}");
     }
 }
 
 #[test]
-fn a_hundredth_of_a_hertz_at_1_khz_is_refused_and_the_lowest_that_is_not_keeps_its_gain() {
+fn cutoff_of_0_01_hz_is_refused_and_the_lowest_keeps_gain() {
     let error = Biquad::butterworth(0.01, 1_000.0).unwrap_err();
     assert_eq!(error.to_string(), "prefilter.cutoff_hz = 0.01: must be above 0.5 and below 499.5");
-    let apart = apart(0.5001, 1_000.0, (0..60_000).map(|k| if k < 10 { 0.0 } else { 2_000.0 }));
-    assert!(apart < 0.06 * 2_000.0, "{apart}");
-    // The gain at zero frequency is that of the rounded coefficients, and within 1 %: settled on a constant.
+    let max_difference =
+        max_difference(0.5001, 1_000.0, (0..60_000).map(|k| if k < 10 { 0.0 } else { 2_000.0 }));
+    assert!(max_difference < 0.06 * 2_000.0, "{max_difference}");
+    // Settled on a constant, the gain at zero frequency is that of the rounded coefficients, and within 1 %.
     let design = Biquad::butterworth(0.5001, 1_000.0).unwrap();
     let mut section = Section::settled(&design, 2_000.0);
     for _ in 0..100_000 {
@@ -76,8 +77,8 @@ fn a_hundredth_of_a_hertz_at_1_khz_is_refused_and_the_lowest_that_is_not_keeps_i
 }
 
 #[test]
-fn a_hair_below_nyquist_is_refused_and_the_highest_that_is_not_filters() {
-    // Its double pole all but meets its double zero at half the rate, and what is left of a step alternates for long.
+fn cutoff_near_nyquist_is_refused_and_the_highest_filters() {
+    // Its double pole nearly cancels its double zero at half the rate; the rest of a step alternates for a long time.
     let just_below = f32::from_bits(500.0_f32.to_bits() - 1);
     for cutoff_hz in [just_below, 499.999, 499.9, 500.0, f32::NAN] {
         let error = Biquad::butterworth(cutoff_hz, 1_000.0).unwrap_err();
@@ -85,15 +86,18 @@ fn a_hair_below_nyquist_is_refused_and_the_highest_that_is_not_filters() {
     }
     for cutoff_hz in [490.0, 499.0, 499.4] {
         let samples = (0..100_000_u32).map(|k| if k.is_multiple_of(7) { 2_000.0 } else { -2_000.0 });
-        let apart = apart(cutoff_hz, 1_000.0, samples);
-        // The same arithmetic as for low cutoffs, seen from half the rate.
-        assert!(apart < 4_000.0 * share_lost(500.0 - cutoff_hz, 1_000.0), "{cutoff_hz} Hz: {apart}");
+        let max_difference = max_difference(cutoff_hz, 1_000.0, samples);
+        // The same bound as for low cutoffs, measured from half the rate.
+        assert!(
+            max_difference < 4_000.0 * rounding_share(500.0 - cutoff_hz, 1_000.0),
+            "{cutoff_hz} Hz: {max_difference}"
+        );
     }
 }
 
 #[test]
-fn hours_of_a_constant_stay_where_they_are() {
-    // Three hours at 1 kHz. What a step loses is the same in every step once the states repeat.
+fn prefilter_keeps_a_constant_for_three_hours() {
+    // Three hours at 1 kHz. The loss of a step stays the same once the states repeat.
     let design = Biquad::butterworth(30.0, 1_000.0).unwrap();
     for x in [9.80665_f32, -2_000.0, 1e-3, 0.0] {
         let mut section = Section::settled(&design, x);
@@ -104,9 +108,9 @@ fn hours_of_a_constant_stay_where_they_are() {
 }
 
 #[test]
-fn a_tail_of_denormals_ends() {
-    // It ends at zero, or at the smallest numbers there are. On the board it costs nothing: the FPU computes denormals in
-    // hardware (Cortex-M4 TRM, 7.1), and the emulated board's test counts as many instructions as for other numbers.
+fn prefilter_decays_to_zero_or_denormals() {
+    // The decay ends at zero or at the smallest numbers. On the board denormals cost nothing: the FPU computes them in
+    // hardware (Cortex-M4 TRM, 7.1), and the test on QEMU counts as many instructions as for other numbers.
     let design = Biquad::butterworth(30.0, 1_000.0).unwrap();
     let mut section = Section::settled(&design, 2_000.0);
     let last = (0..20_000).fold(f32::MAX, |_, _| section.step(&design, 0.0));

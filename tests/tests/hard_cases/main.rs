@@ -1,5 +1,5 @@
-//! What other stacks turn into NaN, a flip or a drift: each case by its name, with the bound that it must keep.
-//! `docs/hard-cases.md` is their list.
+//! Cases in which other flight stacks produce NaN, a flip or a drift: each case by its name, with the bound that must
+//! hold. `docs/hard-cases.md` lists them.
 
 // References are computed by std, an independent implementation.
 #![allow(clippy::disallowed_methods)]

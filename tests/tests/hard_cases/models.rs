@@ -1,4 +1,4 @@
-//! Worlds at the ends of their parameters.
+//! Simulated worlds at the limits of their parameters.
 
 use flight_core::ArmState;
 use flight_core::geometry::{Quaternion, Vec3, vec3};
@@ -18,7 +18,7 @@ fn fly(tables: &str) -> Outcome {
 }
 
 #[test]
-fn masses_that_are_none_are_refused() {
+fn invalid_masses_are_refused() {
     for mass in ["1e-3", "1e9", "0.0", "-1.0", "inf"] {
         let error = hover_with(&format!("[vehicle]\nmass_g = {mass}\n")).unwrap_err();
         assert!(error.contains("mass_g = ") && error.contains("must be from 10 to 100000 g"), "{error}");
@@ -26,18 +26,18 @@ fn masses_that_are_none_are_refused() {
 }
 
 #[test]
-fn stiff_motors_are_exact_at_any_step() {
-    // τ = 0.1 ms at steps of 1 ms: the lag is a closed form, so this is the flight with motors that are instant.
+fn stiff_motors_hover_at_a_step_of_ten_tau() {
+    // τ = 0.1 ms at steps of 1 ms: the lag is computed in closed form, so it flies like instant motors.
     let stiff = fly("[effects.vehicle.motor_lag]\ntau_s = 0.0001\n");
     assert_eq!((stiff.crash, stiff.final_state), (None, ArmState::Disarmed));
     assert!(stiff.tilt_max_deg < 2.0, "{stiff:?}");
 }
 
 #[test]
-fn stiff_motors_at_a_step_a_hundred_times_as_long() {
-    // τ = 0.1 ms in steps of 10 ms, where an explicit step would multiply the difference by 1 − h/τ = −99 each time. Every
-    // 50 ms another thrust. Motors that are instant differ by the first stage of the step after a command, which has a
-    // sixth of the weight: h/6 · ΔU1/m of speed.
+fn stiff_motors_equal_instant_ones_at_a_step_of_100_tau() {
+    // τ = 0.1 ms in steps of 10 ms, where an explicit step would multiply the difference by 1 − h/τ = −99 each time.
+    // The thrust changes every 50 ms. Instant motors differ only in the first stage of the step after a command, which
+    // has a sixth of the weight: h/6 · ΔU1/m of speed.
     let step_s = 0.01;
     let climb = |effects| {
         let ground = Mount::Free(Ground::new(&VehicleParams::OS4));
@@ -53,23 +53,23 @@ fn stiff_motors_at_a_step_a_hundred_times_as_long() {
     };
     let (stiff, speeds) = climb(vec![("motor_lag", VehicleEffect::Lag(Lag::new(1e-4, 1e-4, step_s)))]);
     let (instant, wanted) = climb(vec![]);
-    assert_eq!(speeds, wanted, "e⁻¹⁰⁰ of the difference is left");
+    assert_eq!(speeds, wanted, "only e⁻¹⁰⁰ of the difference is left");
     let b = VehicleParams::OS4.thrust_coefficient;
     let first = step_s / 6.0 * 4.0 * b * 300.0_f64.powi(2) / VehicleParams::OS4.mass_kg;
-    let apart = (stiff.velocity - instant.velocity).norm();
-    assert!(apart < 1.01 * first, "{apart} m/s, {first} m/s");
+    let difference = (stiff.velocity - instant.velocity).norm();
+    assert!(difference < 1.01 * first, "{difference} m/s, bound 1.01 × {first} m/s");
 }
 
-/// Mechanical energy over the ground at rest, J/kg and J/kg of turning.
+/// Returns the mechanical energy above rest on the ground, including rotation, per mass, J/kg.
 fn energy_j_kg(params: &VehicleParams, state: &State) -> f64 {
     let turning = state.rates.dot(state.rates.scale_by(params.inertia_kg_m2)) / params.mass_kg;
     0.5 * (state.velocity.dot(state.velocity) + turning) - GRAVITY * state.position.z
 }
 
 #[test]
-fn ground_contact_at_any_speed_takes_energy_and_comes_to_rest() {
-    // Free fall from a kilometre is 140 m/s. A foot that goes deep is pushed by kN, and its friction, μ N/(0.05 m/s), is
-    // what a step of 1 ms can't follow: it may not give back more than it took.
+fn ground_contact_at_any_speed_adds_no_energy() {
+    // Free fall from a kilometre gives 140 m/s. A foot that goes deep into the ground is pushed with kN, and its
+    // friction, μ N/(0.05 m/s), is too stiff for a step of 1 ms: it must not give back more energy than it took.
     let params = VehicleParams::OS4;
     let upside_down = rotation(vec3(3.0, 0.4, 0.0));
     for attitude in [Quaternion::IDENTITY, rotation(vec3(0.5, -0.3, 2.0)), upside_down] {
@@ -88,9 +88,9 @@ fn ground_contact_at_any_speed_takes_energy_and_comes_to_rest() {
                     touched |= vehicle.touches_ground();
                     let now = vehicle.state();
                     assert!(now.is_finite(), "{state:?}");
-                    // Nothing but gravity pulls down: a foot that leaves the ground is let go.
+                    // Only gravity pulls down: the ground does not hold a foot that leaves it.
                     assert!(vehicle.acceleration().z <= GRAVITY + 1e-9, "{:?}", vehicle.acceleration());
-                    // The springs hold some of it meanwhile; what they give back is not more.
+                    // The springs store part of the energy for a while; they must not give back more.
                     let energy = energy_j_kg(&params, now);
                     assert!(energy < first * (1.0 + 1e-9) + 1e-9, "{energy} of {first} J/kg from {state:?}");
                 }
@@ -103,12 +103,13 @@ fn ground_contact_at_any_speed_takes_energy_and_comes_to_rest() {
 }
 
 #[test]
-fn vehicles_at_the_ends_of_what_a_scene_may_say_are_refused_or_stand_still() {
+fn vehicles_at_parameter_limits_are_refused_or_stand_still() {
     let (mut stood, mut refused) = (0, 0);
     for mass in [0.01, 0.65, 100.0] {
         for inertia in [1e-6, 7.5e-3, 100.0] {
             for arm in [0.02, 0.23, 5.0] {
-                // Feet that give by 1 mm right a vehicle by 500/m · l² for each m of height: higher, it topples in truth.
+                // Feet with 1 mm of compression right a vehicle with 500/m · l² per m of height; a higher vehicle
+                // really topples.
                 for leg in [0.01, 0.05, 1.0].into_iter().filter(|leg| 250.0 * arm * arm > *leg) {
                     let table = format!(
                         "[vehicle]\nmass_g = {:?}\nfeet_mm = {:?}\nrotors.arm_mm = {:?}\nrotors.thrust_n_s2 = {:?}\n\
@@ -116,7 +117,7 @@ fn vehicles_at_the_ends_of_what_a_scene_may_say_are_refused_or_stand_still() {
                         mass * 1e3,
                         leg * 1e3,
                         arm * 1e3,
-                        // Of OS4 for each kg.
+                        // The thrust coefficient of OS4, scaled with the mass.
                         mass / 0.65 * 3.13e-5,
                     );
                     match hover_with(&table) {
@@ -150,31 +151,32 @@ fn vehicles_at_the_ends_of_what_a_scene_may_say_are_refused_or_stand_still() {
 }
 
 #[test]
-fn drag_of_nothing_and_of_honey() {
+fn zero_and_extreme_drag_fly_and_stiff_drag_is_refused() {
     let none = fly("[effects.vehicle.linear_drag]\na_kg_per_s = [0.0, 0.0, 0.0]\n");
     assert_eq!((none.crash, none.final_state), (None, ArmState::Disarmed));
-    // 500 kg/s on 0.65 kg are 1.3 ms: RK4 is stable to 2.8 times that in a step of 1 ms. It hardly moves at all.
-    let honey = fly("[effects.vehicle.linear_drag]\na_kg_per_s = [500.0, 500.0, 500.0]\n");
-    assert!(honey.crash.is_none(), "{honey:?}");
-    assert!(honey.attitude_rmse_deg < 1.0, "{honey:?}");
-    // What is too stiff for the step is refused, whichever drag it is, and for a light vehicle sooner.
-    for (drag, says) in [
+    // 500 kg/s on 0.65 kg give a time constant of 1.3 ms; RK4 is stable up to λh = 2.8, in a step of 1 ms. It hardly
+    // moves.
+    let extreme = fly("[effects.vehicle.linear_drag]\na_kg_per_s = [500.0, 500.0, 500.0]\n");
+    assert!(extreme.crash.is_none(), "{extreme:?}");
+    assert!(extreme.attitude_rmse_deg < 1.0, "{extreme:?}");
+    // Drag that is too stiff for the step is refused, for every kind of drag, and for a light vehicle at lower values.
+    for (drag, field) in [
         ("linear_drag]\na_kg_per_s = [0.0, 900.0, 0.0]", "vehicle.linear_drag"),
         ("quadratic_drag]\ncd_area_m2 = [100.0, 1.0, 1.0]", "vehicle.quadratic_drag"),
         ("rotor_drag]\nk_kg_per_rad = 1.0", "vehicle.rotor_drag"),
     ] {
         let error = hover_with(&format!("[effects.vehicle.{drag}\n")).unwrap_err();
-        assert!(error.contains(says) && error.contains("steps of 1 ms"), "{error}");
+        assert!(error.contains(field) && error.contains("one step of 1 ms"), "{error}");
     }
     let light = "[vehicle]\nmass_g = 20.0\nrotors.idle_rad_s = 5.0\n[effects.vehicle.linear_drag]\na_kg_per_s = [30.0, 0.0, 0.0]\n";
     assert!(hover_with(light).unwrap_err().contains("at most"), "{light}");
 }
 
 #[test]
-fn a_wind_beyond_hover_authority_carries_it_away_and_every_number_stays_one() {
+fn too_strong_wind_ends_as_flown_away_with_finite_numbers() {
     let outcome = fly("[effects.wind.constant]\nvelocity_m_s = [-14.0, 0.0, 0.0]\n");
     assert_eq!(outcome.crash.map(|(crash, _)| crash), Some(Crash::FlownAway), "{outcome:?}");
-    // Four times that shakes it on the ground, and it does not even arm.
+    // Four times the wind shakes the vehicle on the ground, and it does not arm.
     let storm = fly("[effects.wind.constant]\nvelocity_m_s = [-60.0, 0.0, 0.0]\n");
     assert_eq!(storm.final_state, ArmState::Disarmed);
     for outcome in [outcome, storm] {

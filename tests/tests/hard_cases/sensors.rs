@@ -9,21 +9,21 @@ use sim_host::scene::Scene;
 use crate::truth::{Body, FIELD_UT, GRAVITY, is_accurate, rotation, single, tau_s};
 
 #[test]
-fn ten_seconds_of_free_fall_change_nothing() {
+fn ten_seconds_of_free_fall_keep_the_estimate() {
     for (name, params) in EstimatorParams::PRESETS {
         let mut body = Body::at(rotation(vec3(0.3, 0.2, 1.0)), &params);
         for _ in 0..10_000 {
-            body.turn_blind(Vec3::ZERO, 1e-3);
+            body.turn_without_references(Vec3::ZERO, 1e-3);
         }
         assert!(body.error_deg() < 0.02, "{name}: {}°", body.error_deg());
     }
 }
 
 #[test]
-fn four_g_for_a_second_move_the_tilt_by_what_the_filters_say() {
-    // Level, pushed sideways by 4 g: the specific force points 76° off.
+fn four_g_for_a_second_tilt_by_at_most_the_closed_form() {
+    // Level, with a lateral acceleration of 4 g: the specific force is 76° off the vertical.
     let pushed = single(vec3(0.0, 4.0 * GRAVITY.z, -GRAVITY.z));
-    let off = 4.0_f64.atan().to_degrees();
+    let force_angle_deg = 4.0_f64.atan().to_degrees();
     for (name, params) in EstimatorParams::PRESETS {
         let mut body = Body::at(Quaternion::IDENTITY, &params);
         for _ in 0..60_000 {
@@ -33,11 +33,11 @@ fn four_g_for_a_second_move_the_tilt_by_what_the_filters_say() {
             body.estimator.update(Vec3::ZERO, pushed, Some(single(FIELD_UT)), 1e-3);
         }
         let bound = match name {
-            // Eq 18: 1 − e^(−t/τ) of it.
-            "flight" => off * (1.0 - (-0.1_f64).exp()) * 1.02,
+            // Eq 18: 1 − e^(−t/τ) of the angle.
+            "flight" => force_angle_deg * (1.0 - (-0.1_f64).exp()) * 1.02,
             // 0.645 Δv/(g τ) (docs/estimators.md), 0.52 rad.
             "robust" => (0.645 * 4.0 / 5.0_f64).to_degrees(),
-            // Two time constants and more: it believes all of it, and its heading with it.
+            // More than two time constants: the filter follows the force completely, and its heading with it.
             _ => 180.0,
         };
         assert!(body.error_deg() < bound, "{name}: {}°, {bound}°", body.error_deg());
@@ -45,12 +45,12 @@ fn four_g_for_a_second_move_the_tilt_by_what_the_filters_say() {
 }
 
 #[test]
-fn four_g_for_half_a_minute_are_followed_as_a_tilt_and_no_further() {
-    // No filter without a velocity can tell it from a tilt: what it may not do is turn further than the force points, but
-    // for an overshoot of the robust filter. √17 g make its loop s² + 2s/τ + 2√17/τ², of damping ζ = 1/√(2√17) = 0.35,
-    // which goes e^(−πζ/√(1 − ζ²)) = 0.31 too far.
+fn four_g_for_half_a_minute_tilt_at_most_to_the_force() {
+    // No filter without a velocity can distinguish this from a tilt, but the estimate must not turn beyond the force.
+    // The robust filter may overshoot: with √17 g its loop is s² + 2s/τ + 2√17/τ², of damping ζ = 1/√(2√17) = 0.35,
+    // which overshoots by e^(−πζ/√(1 − ζ²)) = 0.31.
     let pushed = single(vec3(0.0, 4.0 * GRAVITY.z, -GRAVITY.z));
-    let off = 4.0_f64.atan().to_degrees();
+    let force_angle_deg = 4.0_f64.atan().to_degrees();
     let zeta = (2.0 * 17.0_f64.sqrt()).sqrt().recip();
     let overshoot = (-std::f64::consts::PI * zeta / (1.0 - zeta * zeta).sqrt()).exp();
     for (name, params) in EstimatorParams::PRESETS {
@@ -59,13 +59,13 @@ fn four_g_for_half_a_minute_are_followed_as_a_tilt_and_no_further() {
         for _ in 0..30_000 {
             body.estimator.update(Vec3::ZERO, pushed, None, 1e-3);
             let tilt = body.inclination_deg();
-            let most = off * if name == "robust" { 1.0 + overshoot } else { 1.0 + 1e-3 };
-            assert!(tilt < most, "{name}: {tilt}°");
+            let max_deg = force_angle_deg * if name == "robust" { 1.0 + overshoot } else { 1.0 + 1e-3 };
+            assert!(tilt < max_deg, "{name}: {tilt}°");
         }
-        // It was a manoeuvre, and not a bias: what is learnt of one is what the last degrees look like.
+        // A manoeuvre must not teach a bias: `robust` learns only from what looks like the last degrees of an error.
         let bias = body.estimator.gyro_bias().norm().to_degrees();
         assert!(bias < 0.3, "{name}: a bias of {bias} °/s");
-        // And back, when it is over.
+        // The estimate recovers when the acceleration ends.
         let tau_steps = (tau_s(&params) * 1e3) as u32;
         (0..8 * tau_steps).for_each(|_| body.turn(Vec3::ZERO, 1e-3));
         assert!(body.inclination_deg() < 0.5, "{name}: {}°", body.inclination_deg());
@@ -73,7 +73,7 @@ fn four_g_for_half_a_minute_are_followed_as_a_tilt_and_no_further() {
 }
 
 #[test]
-fn no_field_and_a_vertical_one_leave_the_heading_to_the_gyroscope() {
+fn missing_or_vertical_field_keeps_the_gyro_heading() {
     for (name, params) in EstimatorParams::PRESETS {
         for field in [Vec3::ZERO, vec3(0.0, 0.0, 48.0), vec3(1e-30, -1e-38, 0.0)] {
             let mut body = Body::at(rotation(vec3(0.0, 0.0, 1.0)), &params);
@@ -86,8 +86,8 @@ fn no_field_and_a_vertical_one_leave_the_heading_to_the_gyroscope() {
 }
 
 #[test]
-fn a_gyroscope_at_its_end_costs_what_it_did_not_see_and_no_more() {
-    // 3,000 °/s for 0.2 s where 2,000 are seen: 200° are missed, and found back.
+fn saturated_gyroscope_recovers_without_a_false_bias() {
+    // 3,000 °/s for 0.2 s with a range of 2,000 °/s: 200° are missed, and must be recovered.
     for (name, params) in EstimatorParams::PRESETS {
         let mut body = Body::at(Quaternion::IDENTITY, &params);
         (0..20_000).for_each(|_| body.turn(Vec3::ZERO, 1e-3));
@@ -100,7 +100,7 @@ fn a_gyroscope_at_its_end_costs_what_it_did_not_see_and_no_more() {
             body.estimator.update(single(vec3(seen, 0.0, 0.0)), accel, Some(mag), 1e-3);
             assert!(body.error_deg().is_finite(), "{name}");
         }
-        // To be upside down is no bias, and teaches none.
+        // An inverted estimate must not teach a bias.
         let mut bias = 0.0_f32;
         for _ in 0..150_000 {
             body.turn(Vec3::ZERO, 1e-3);
@@ -112,7 +112,7 @@ fn a_gyroscope_at_its_end_costs_what_it_did_not_see_and_no_more() {
 }
 
 #[test]
-fn denormals_and_zeros_are_numbers() {
+fn denormal_and_zero_samples_keep_the_estimate() {
     for (name, params) in EstimatorParams::PRESETS {
         let mut body = Body::at(Quaternion::IDENTITY, &params);
         for tiny in [0.0, -0.0, f32::MIN_POSITIVE, 1e-45, -1e-40] {
@@ -126,13 +126,13 @@ fn denormals_and_zeros_are_numbers() {
     }
 }
 
-/// `steps` with these tables on top, over five seeds; all land.
+/// Flies `steps` with these tables added, with five seeds.
 fn flights(tables: &str) -> Vec<Outcome> {
     let scene = Scene::parse("hard.toml", &format!("include = \"steps\"\n{tables}")).unwrap();
     (0..5).map(|seed| Flight::new(&scene, seed).run(&mut ())).collect()
 }
 
-fn all_land_within(tables: &str, tilt_error_deg: f64) {
+fn check_all_land(tables: &str, tilt_error_deg: f64) {
     for outcome in flights(tables) {
         assert_eq!((outcome.crash, outcome.final_state), (None, ArmState::Disarmed), "{tables}: {outcome:?}");
         assert!(outcome.tilt_error_max_deg < tilt_error_deg, "{tables}: {outcome:?}");
@@ -140,8 +140,8 @@ fn all_land_within(tables: &str, tilt_error_deg: f64) {
 }
 
 #[test]
-fn spikes_at_full_scale_are_flown_through() {
-    // One sample of 2,000 °/s is 2° of turn that did not happen, 16 g for a millisecond 1e-4 of the way to anywhere.
+fn full_scale_spikes_are_flown_through() {
+    // One sample of 2,000 °/s adds 2° of false turn; 16 g for a millisecond moves the estimate by 1e-4 of any angle.
     for (sensor, axis) in [("gyro", "x"), ("gyro", "z"), ("accel", "y")] {
         let spikes: String = (0..5)
             .map(|k| {
@@ -151,25 +151,25 @@ fn spikes_at_full_scale_are_flown_through() {
                 )
             })
             .collect();
-        all_land_within(&spikes, 1.8 + 2.2 * 5.0);
+        check_all_land(&spikes, 1.8 + 2.2 * 5.0);
     }
 }
 
 #[test]
-fn a_tenth_of_the_samples_lost_and_half_a_period_of_jitter() {
-    // `rough-sampling` has milder figures of both.
-    all_land_within("[effects.imu.dropped_samples]\nprobability = 0.1\n", 4.0);
-    all_land_within("[effects.imu.sampling_jitter]\nsigma_us = 160.0\n", 4.0);
+fn lost_and_jittered_samples_are_flown_through() {
+    // The scene `rough-sampling` has lower values of both.
+    check_all_land("[effects.imu.dropped_samples]\nprobability = 0.1\n", 4.0);
+    check_all_land("[effects.imu.sampling_jitter]\nsigma_us = 160.0\n", 4.0);
 }
 
 #[test]
-fn a_gap_of_a_second_is_an_estimate_anew() {
+fn gap_of_a_second_keeps_an_accurate_estimate() {
     for (name, params) in EstimatorParams::PRESETS {
         let mut body = Body::at(Quaternion::IDENTITY, &params);
         for _ in 0..5_000 {
             body.turn(vec3(0.0, 0.0, 0.5), 1e-3);
         }
-        // A quarter of a second of it in one step is still a turn.
+        // The gap is a single step of 1 s, which the filters still integrate as a turn.
         body.turn(vec3(0.1, 0.2, 0.5), 1.0);
         assert!(body.error_deg().is_finite());
         assert!(!is_accurate(name) || body.error_deg() < 0.1, "{name}: {}°", body.error_deg());

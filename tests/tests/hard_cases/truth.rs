@@ -1,14 +1,14 @@
-//! A body that turns in f64, and what perfect sensors on it say.
+//! A rotating body in f64, and the readings of perfect sensors on it.
 
 use flight_core::estimator::{Estimator, EstimatorParams};
 use flight_core::geometry::{Quaternion, Vec3, vec3};
 use sim_host::attitude_error::AttitudeError;
 
-/// North, east, down.
+/// Gravity, m/s²; axes north, east, down.
 pub const GRAVITY: Vec3<f64> = vec3(0.0, 0.0, 9.80665);
 pub const FIELD_UT: Vec3<f64> = vec3(25.0, 0.0, 41.0);
 
-/// The rotation by a vector (axis times angle, rad).
+/// Returns the rotation by a rotation vector (axis times angle, rad).
 pub fn rotation(r: Vec3<f64>) -> Quaternion<f64> {
     let angle = r.norm();
     let share = if angle > 1e-9 { libm::sin(0.5 * angle) / angle } else { 0.5 };
@@ -24,21 +24,21 @@ pub fn double(q: Quaternion<f32>) -> Quaternion<f64> {
     Quaternion::new(w, x, y, z)
 }
 
-/// A body and an estimator on it.
+/// A body with its true attitude, and an estimator that gets its samples.
 pub struct Body {
     pub attitude: Quaternion<f64>,
     pub estimator: Estimator,
 }
 
 impl Body {
-    /// At this attitude, with an estimator that has seen one sample there.
+    /// Creates a body at this attitude, with an estimator that has seen one sample there.
     pub fn at(attitude: Quaternion<f64>, params: &EstimatorParams) -> Self {
         let mut body = Self { attitude, estimator: Estimator::new(params).unwrap() };
         body.sample(Vec3::ZERO, 0.0, true, true);
         body
     }
 
-    /// What the sensors show of gravity and field now, with this rate.
+    /// Updates the estimator with this rate and the readings of gravity and field, or zero and none.
     fn sample(&mut self, gyro: Vec3<f64>, dt_s: f64, gravity: bool, field: bool) {
         let into_body = |v| self.attitude.conjugate().rotate(v);
         let accel = if gravity { into_body(-GRAVITY) } else { Vec3::ZERO };
@@ -46,14 +46,14 @@ impl Body {
         self.estimator.update(single(gyro), single(accel), mag, dt_s as f32);
     }
 
-    /// Turns at a steady rate (rad/s, body axes) for one sample.
+    /// Turns at a constant rate (rad/s, body axes) for one sample.
     pub fn turn(&mut self, rate: Vec3<f64>, dt_s: f64) {
         self.attitude = (self.attitude * rotation(rate * dt_s)).normalized();
         self.sample(rate, dt_s, true, true);
     }
 
-    /// The same with neither gravity nor field to be seen.
-    pub fn turn_blind(&mut self, rate: Vec3<f64>, dt_s: f64) {
+    /// Turns for one sample in which neither gravity nor field is visible.
+    pub fn turn_without_references(&mut self, rate: Vec3<f64>, dt_s: f64) {
         self.attitude = (self.attitude * rotation(rate * dt_s)).normalized();
         self.sample(rate, dt_s, false, false);
     }
@@ -64,23 +64,23 @@ impl Body {
         finite.then(|| AttitudeError::between(estimate, self.attitude))
     }
 
-    /// Estimate against truth, degrees; NaN if the estimate is not finite.
+    /// Returns the error of the estimate, degrees; NaN if the estimate is not finite.
     pub fn error_deg(&self) -> f64 {
         self.error().map_or(f64::NAN, |error| error.total_rad.to_degrees())
     }
 
-    /// The tilt's part of it.
+    /// Returns the tilt part of the error, degrees.
     pub fn inclination_deg(&self) -> f64 {
         self.error().map_or(f64::NAN, |error| error.inclination_rad.to_degrees())
     }
 }
 
-/// Whether the preset's accuracy is promised everywhere: the two that fly.
+/// Returns whether the preset's accuracy is specified everywhere: true for the two presets for flight.
 pub fn is_accurate(name: &str) -> bool {
     matches!(name, "flight" | "robust")
 }
 
-/// Time constant of a preset's tilt at 1 kHz, s.
+/// Returns the time constant of a preset's tilt at 1 kHz, s.
 pub fn tau_s(params: &EstimatorParams) -> f64 {
     let mut params = *params;
     let of_tilt = params.settings().next().unwrap();
@@ -88,6 +88,6 @@ pub fn tau_s(params: &EstimatorParams) -> f64 {
     match of_tilt.name {
         "estimator.alpha" => 1e-3 * value / (1.0 - value),
         "estimator.tau_s" | "estimator.tilt_tau_s" => value,
-        other => panic!("{other} is no time constant"),
+        other => panic!("{other} is not a time constant"),
     }
 }

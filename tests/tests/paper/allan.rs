@@ -1,6 +1,6 @@
-//! Eqs 15 and 16 and table 2: the density that goes into a simulated sensor is the one that comes out.
+//! Eqs 15 and 16 and table 2: the noise density of a simulated sensor is recovered from its samples.
 //!
-//! The Allan deviation here is written down from its definition, to check with.
+//! The Allan deviation here is an independent implementation of its definition.
 
 use flight_core::geometry::Vec3;
 use random::NormalStreams;
@@ -10,7 +10,7 @@ use sim_host::scene::Scene;
 use crate::spread::Spread;
 use crate::still::{STILL, white_noise};
 
-/// Eq 15 as printed: over consecutive means of `length` samples, none shared by two of them.
+/// Eq 15 as printed, over consecutive means of `length` samples that do not overlap.
 #[derive(Clone, Debug)]
 pub struct Allan {
     length: u32,
@@ -39,20 +39,20 @@ impl Allan {
         }
     }
 
-    /// The root of eq 15.
+    /// Returns the square root of eq 15.
     pub fn deviation(&self) -> f64 {
         libm::sqrt(self.squares / (2.0 * self.pairs))
     }
 
-    /// Relative standard error of [`Self::deviation`] for white noise: differences of neighbouring means
-    /// correlate by −1/2, so their mean square has the relative variance 2 (1 + 2/4)/M, and a root halves
-    /// a relative error.
+    /// Returns the relative standard error of [`Self::deviation`] for white noise. Differences of neighbouring means
+    /// correlate by −1/2, so their mean square has the relative variance 2 (1 + 2/4)/M; the root halves the
+    /// relative error.
     pub fn error(&self) -> f64 {
         0.5 * libm::sqrt(3.0 / self.pairs)
     }
 }
 
-/// The same with means that start at every sample: of any two neighbouring means, at every place.
+/// The Allan deviation over means that start at every sample.
 #[derive(Clone, Debug)]
 pub struct OverlappingAllan {
     length: usize,
@@ -122,7 +122,7 @@ fn gyroscope_of_table_2_is_0_03228_deg_per_s_per_root_hz() {
     assert!((n[0] - 0.03228).abs() < 1e-6);
     let (scene, seed) = on_the_bench(60.0);
     let mut gyro = scene.gyro(seed, 1000.0);
-    // The draws that it is to scale, from the same streams.
+    // The random draws of the sensor, from the same streams.
     let mut streams = NormalStreams::new(seed, "gyro.white_noise");
     for _ in 0..1000 {
         let readings = <[f64; 3]>::from(gyro.measure(Vec3::ZERO, &STILL));
@@ -134,9 +134,9 @@ fn gyroscope_of_table_2_is_0_03228_deg_per_s_per_root_hz() {
     }
 }
 
-/// What the flight controller is given on the bench, in the tables' units.
+/// Records the flight controller's samples on the bench, in the tables' units.
 struct Bench {
-    /// Degrees per second and m/s² for a count.
+    /// Degrees per second and m/s² of a count.
     per_count: [f64; 2],
     spreads: [[Spread; 3]; 2],
     /// Over means of 1 s.
@@ -148,7 +148,7 @@ impl Observer for Bench {
         let sample = view.input.imu.expect("the inertial sensor is sampled at every step");
         for (sensor, counts) in [sample.gyro, sample.accel].into_iter().enumerate() {
             for (axis, counts) in counts.map(f64::from).into_iter().enumerate() {
-                // Off by 1 g on z, which would take digits from the variance.
+                // 1 g is subtracted on z, because it would cost digits of the variance.
                 let rest = if (sensor, axis) == (1, 2) { -2048.0 } else { 0.0 };
                 let reading = (counts - rest) * self.per_count[sensor];
                 self.spreads[sensor][axis].add(reading);
@@ -186,8 +186,8 @@ fn static_reads_back_table_2() {
     }
 }
 
-/// White noise falls as 1/√τ: the deviation has the slope −½ that the paper reads N from. The variance, which
-/// eq 15 gives, has −1.
+/// White noise falls as 1/√τ: its deviation has the slope −½, from which the paper reads N. The variance, which
+/// eq 15 gives, has the slope −1.
 #[test]
 fn white_noise_has_the_allan_deviation_n_over_root_tau() {
     let n = 0.03;

@@ -1,5 +1,5 @@
-//! Eq 18's gains for noise and bias, with the simulator's random numbers through the estimators that fly.
-//! The prefilter is off.
+//! Eq 18's gains for noise and bias: random numbers of the simulator through the estimators of the flight code, without
+//! the prefilter.
 //!
 //! With o\[k\] = α (o\[k−1\] + ω Δt) + (1 − α) b\[k\] and independent errors in each sample, o is a first-order
 //! autoregression, whose closed forms are:
@@ -10,8 +10,8 @@
 //! | white noise σ of ω | σ Δt α/√(1 − α²) | 3.990 σ Δt |
 //! | constant β of ω | β Δt α/(1 − α) | 32.33 β Δt |
 //!
-//! Its autocorrelation is α^|k|. Over it Σρ² = (1 + α²)/(1 − α²), which is how many samples count as one in
-//! the error of a deviation (33 at 0.97), and Σρ = (1 + α)/(1 − α) in the error of a mean (66).
+//! Its autocorrelation is α^|k|. The error of a deviation depends on Σρ² = (1 + α²)/(1 − α²): that many samples count
+//! as one (33 at 0.97). The error of a mean depends on Σρ = (1 + α)/(1 − α) (66).
 
 use flight_core::STANDARD_GRAVITY;
 use flight_core::estimator::{Estimator, EstimatorParams};
@@ -29,7 +29,7 @@ struct Case {
 /// τ of `paper`: 32.33 steps at 100 Hz.
 const TAU_S: f64 = 0.97 / 0.03 * 0.01;
 
-/// At 100 Hz `paper` and `paper-literal` are one filter. At 1 kHz the first keeps its τ, the second its α.
+/// At 100 Hz `paper` and `paper-literal` are the same filter. At 1 kHz the first keeps its τ, the second its α.
 const CASES: [Case; 4] = [
     Case { params: EstimatorParams::PAPER, rate_hz: 100.0, alpha: 0.97 },
     Case { params: EstimatorParams::PAPER_LITERAL, rate_hz: 100.0, alpha: 0.97 },
@@ -38,7 +38,7 @@ const CASES: [Case; 4] = [
 ];
 
 const UPDATES: u32 = 2_000_000;
-/// A field without depth, as at the magnetic equator, µT: there an error of tilt is none of heading.
+/// A horizontal field, as at the magnetic equator, µT: there a tilt error causes no heading error.
 const FIELD_UT: f64 = 35.0;
 
 impl Case {
@@ -46,7 +46,7 @@ impl Case {
         Estimator::new(&self.params).unwrap_or_else(|error| panic!("{error}"))
     }
 
-    /// Updates after which the start has decayed to e⁻²⁰.
+    /// Returns the number of updates after which the start has decayed to e⁻²⁰.
     fn settling(&self) -> u32 {
         (20.0 / (1.0 - self.alpha)) as u32
     }
@@ -57,26 +57,26 @@ impl Case {
     }
 }
 
-/// Roll, pitch and heading. They stay below 0.01 rad here, where an angle and its sine differ by 2e-5 of it.
+/// Returns roll, pitch and heading. They stay below 0.01 rad here, where an angle and its sine differ by 2e-5 of it.
 fn angles(estimator: &Estimator) -> [f64; 3] {
     let down = estimator.down();
     [f64::from(down.y), -f64::from(down.x), f64::from(estimator.heading())]
 }
 
-/// What a perfect accelerometer reads at rest.
+/// Returns the reading of a perfect accelerometer at rest.
 fn at_rest(roll: f64, pitch: f64) -> Vec3<f32> {
     let g = f64::from(STANDARD_GRAVITY);
     let (sin, cos) = (libm::sin, libm::cos);
     vec3((g * sin(pitch)) as f32, (-g * sin(roll) * cos(pitch)) as f32, (-g * cos(roll) * cos(pitch)) as f32)
 }
 
-/// What a perfect magnetometer reads, level.
+/// Returns the reading of a perfect magnetometer on a level vehicle.
 fn pointing_north_from(heading: f64) -> Vec3<f32> {
     vec3((FIELD_UT * libm::cos(heading)) as f32, (-FIELD_UT * libm::sin(heading)) as f32, 0.0)
 }
 
 #[test]
-fn white_angle_noise_comes_out_times_0_1234() {
+fn white_angle_noise_gain_is_0_1234() {
     assert!((libm::sqrt(0.03 / 1.97) - 0.12340).abs() < 1e-5);
     let sigma = 0.01;
     for (n, case) in CASES.iter().enumerate() {
@@ -102,7 +102,7 @@ fn white_angle_noise_comes_out_times_0_1234() {
 }
 
 #[test]
-fn white_rate_noise_comes_out_times_3_99_steps_and_a_bias_times_32_33() {
+fn rate_noise_gain_is_3_99_steps_and_bias_gain_is_32_33() {
     assert!((0.97 / libm::sqrt(1.0 - 0.97 * 0.97) - 3.990).abs() < 1e-4);
     assert!((0.97_f64 / 0.03 - 32.33).abs() < 0.01);
     let (sigma, bias) = (0.01, 0.001);
@@ -128,7 +128,7 @@ fn white_rate_noise_comes_out_times_3_99_steps_and_a_bias_times_32_33() {
             println!("case {n}: {:.4} {:.3}", spread.deviation() / sigma / dt_s, spread.mean() / bias / dt_s);
             spread.assert_deviation(deviation, case.samples_per_independent_square());
             let error = deviation * libm::sqrt((1.0 + a) / (1.0 - a) / spread.count());
-            // The axes' offsets mix through the Euler rates by their own size, at most 3.3e-4 rad.
+            // Through the Euler rates the axes' offsets couple in proportion to their size, at most 3.3e-4 rad.
             assert!(
                 (spread.mean() - offset).abs() < 5.0 * error + 1e-3 * offset,
                 "{} {offset}",

@@ -1,8 +1,8 @@
 //! Eq 18 in flight: why `paper` cannot fly `steps`.
 //!
-//! An accelerometer in the air reads thrust and drag, not gravity. Thrust lies along the body's own z axis at
-//! any tilt, so without drag the accelerometer reads level at any tilt, and eq 18 pulls the estimate there
-//! with τ: to hold an estimated tilt φ̂, the vehicle has to turn at φ̂/τ.
+//! In the air an accelerometer measures thrust and drag, not gravity. Thrust lies along the body's z axis at
+//! any tilt, so without drag the accelerometer reads level at any tilt, and eq 18 pulls the estimate to level
+//! with τ. To hold an estimated tilt φ̂, the vehicle has to turn at φ̂/τ.
 
 use flight_core::STANDARD_GRAVITY;
 use flight_core::estimator::{Estimator, EstimatorParams};
@@ -51,16 +51,16 @@ fn without_drag_the_accelerometer_reads_level_at_any_tilt() {
     }
 }
 
-/// With drag, sliding down the tilt shows it, but no sooner than the vehicle picks up speed: with T = m/A,
-/// 2.6 s, v = g T tan φ (1 − e^(−t/T)), and drag along the body's axes and thrust add up to
+/// With drag the accelerometer shows the tilt only as the vehicle gains lateral speed: with T = m/A = 2.6 s,
+/// v = g T tan φ (1 − e^(−t/T)), and drag along the body's axes and thrust together give
 /// tan φ_shown = sin φ cos φ s/(1 − s sin² φ), s = 1 − e^(−t/T).
 #[test]
-fn drag_shows_a_tilt_only_with_the_time_constant_of_the_speed() {
+fn drag_shows_tilt_with_the_time_constant_of_speed() {
     let tilt = 30.0_f64.to_radians();
     let params = VehicleParams::OS4;
     let time_constant_s = params.mass_kg / DRAG_KG_PER_S;
     assert!((time_constant_s - 2.6).abs() < 1e-9);
-    // The height is held.
+    // The thrust holds the height.
     let speed = libm::sqrt(params.mass_kg * GRAVITY / (4.0 * params.thrust_coefficient * libm::cos(tilt)));
     let drag = on_os4(&LinearDrag { a_kg_per_s: [DRAG_KG_PER_S; 3] });
     let attitude = turned_about_x(tilt);
@@ -77,14 +77,14 @@ fn drag_shows_a_tilt_only_with_the_time_constant_of_the_speed() {
         shown_deg.push(shown.to_degrees());
         vehicle.advance();
     }
-    // After one side of a doublet, and at last.
+    // After the first half of a doublet, and in the end.
     assert!((shown_deg[700] - 6.2).abs() < 0.05 && (shown_deg[20_000] - 30.0).abs() < 0.05);
 }
 
-/// The estimators that fly, held at 30° by a loop with an integrator around them, while the accelerometer
+/// Estimators of the flight code, held at 30° by a loop with an integrator around them, while the accelerometer
 /// reads level.
 #[test]
-fn holding_30_degrees_takes_a_turn_at_93_degrees_per_second() {
+fn holding_30_degrees_needs_a_turn_of_93_deg_per_s() {
     let dt_s = 1e-3_f32;
     let held = 30.0_f64.to_radians();
     for (params, tau_s, expected_deg_s) in
@@ -92,7 +92,7 @@ fn holding_30_degrees_takes_a_turn_at_93_degrees_per_second() {
     {
         let mut estimator = Estimator::new(&params).unwrap();
         let level = vec3(0.0, 0.0, -STANDARD_GRAVITY);
-        // The age of `flight` stands in for τ until it has reached it.
+        // Until the age of `flight` has reached τ, it is used in place of τ.
         for _ in 0..20_000 {
             estimator.update(Vec3::ZERO, level, None, dt_s);
         }
@@ -112,12 +112,12 @@ fn holding_30_degrees_takes_a_turn_at_93_degrees_per_second() {
         println!("τ = {tau_s} s: {rate_deg_s:.2} °/s");
         assert!((rate_deg_s / expected_deg_s - 1.0).abs() < 1e-3, "{rate_deg_s}");
         assert!((rate / (held / tau_s) - 1.0).abs() < 1e-3);
-        // In the truth it goes round and round.
+        // The true roll continues to rotate.
         assert!(((true_roll - half_way).to_degrees() / (4.0 * expected_deg_s) - 1.0).abs() < 1e-2);
     }
 }
 
-/// A built-in scene, with some of its text exchanged.
+/// Returns a built-in scene with some of its text replaced.
 fn altered(name: &str, changes: &[(&str, &str)]) -> Scene {
     let built_in = BUILT_IN.iter().find(|scene| scene.name == name).expect("a built-in scene").text;
     let text = changes.iter().fold(built_in.to_owned(), |text, (from, to)| {
@@ -129,12 +129,12 @@ fn altered(name: &str, changes: &[(&str, &str)]) -> Scene {
 
 const PAPER: (&str, &str) = ("[flight]\n", "[flight]\nestimator = \"paper\"\n");
 const NO_DRAG: (&str, &str) = ("[effects.vehicle.linear_drag]\n", "");
-/// The first side of the first doublet goes on for 2 s, and the second comes after it.
+/// The first half of the first doublet lasts 2 s; the second half follows it.
 const HELD_2_S: [(&str, &str); 2] =
     [("at_s = 14.0\nfor_s = 0.7", "at_s = 14.0\nfor_s = 2.0"), ("at_s = 14.7", "at_s = 16.0")];
 
-/// When the first side of the first doublet begins.
-const FIRST_SIDE_S: f64 = 14.0;
+/// Start of the first half of the first doublet, s.
+const FIRST_HALF_S: f64 = 14.0;
 
 /// Largest true tilt in the first doublet, degrees.
 #[derive(Default)]
@@ -142,7 +142,7 @@ struct FirstDoublet(f64);
 
 impl Observer for FirstDoublet {
     fn step(&mut self, view: &StepView) {
-        let after_s = view.time_us as f64 * 1e-6 - FIRST_SIDE_S;
+        let after_s = view.time_us as f64 * 1e-6 - FIRST_HALF_S;
         if (0.0..1.4).contains(&after_s) {
             self.0 = self.0.max(libm::acos(view.truth.cos_tilt()).to_degrees());
         }
@@ -158,7 +158,7 @@ fn steps_crashes_with_paper_and_flies_with_flight() {
         (outcome, doublet.0)
     };
     for seed in [7, 8, 9] {
-        // 30° was asked for.
+        // The sticks command 30°.
         let (outcome, doublet_deg) = fly(&[PAPER], seed);
         assert!(outcome.crash.is_some() && (45.0..60.0).contains(&doublet_deg), "{outcome:?}");
         let (outcome, doublet_deg) = fly(&[], seed);
@@ -168,7 +168,7 @@ fn steps_crashes_with_paper_and_flies_with_flight() {
 }
 
 #[test]
-fn paper_hovers() {
+fn hover_with_paper_stays_within_half_a_metre() {
     let outcome = Flight::new(&altered("hover", &[PAPER]), 7).run(&mut ());
     assert!(outcome.crash.is_none() && outcome.position_error_max_m < 0.5, "{outcome:?}");
     assert!(outcome.attitude_rmse_deg < 1.0, "{outcome:?}");
@@ -179,7 +179,7 @@ fn roll(down: Vec3<f32>) -> f64 {
     libm::atan2(f64::from(down.y), f64::from(down.z))
 }
 
-/// True roll rate and estimated roll from 0.8 to 1.0 s after the step, when both have settled.
+/// True roll rate and estimated roll from 0.8 to 1.0 s after the step, when both are settled.
 #[derive(Default)]
 struct Turning {
     rate: Spread,
@@ -188,7 +188,7 @@ struct Turning {
 
 impl Observer for Turning {
     fn step(&mut self, view: &StepView) {
-        let after_s = view.time_us as f64 * 1e-6 - FIRST_SIDE_S;
+        let after_s = view.time_us as f64 * 1e-6 - FIRST_HALF_S;
         if after_s > 0.8 && after_s < 1.0 {
             self.rate.add(view.truth.rates.x.to_degrees());
             self.estimate.add(roll(view.output.attitude.down()).to_degrees());
@@ -196,8 +196,8 @@ impl Observer for Turning {
     }
 }
 
-/// A step of 30° that lasts. The angle loop asks for the rate P (30° − φ̂). Without drag φ̂ settles, with the
-/// rate P + 1/τ, where that is φ̂/τ, and the vehicle goes on turning at 30°/(τ + 1/P).
+/// A lasting step of 30°. The angle loop commands the rate P (30° − φ̂). Without drag φ̂ settles with the rate
+/// constant P + 1/τ where the commanded rate equals φ̂/τ, and the vehicle continues to turn at 30°/(τ + 1/P).
 #[test]
 fn a_30_degree_step_of_2_s_on_paper_passes_90_degrees() {
     let [first, second] = HELD_2_S;
@@ -207,14 +207,14 @@ fn a_30_degree_step_of_2_s_on_paper_passes_90_degrees() {
         let outcome = Flight::new(&scene, scene.seed).run(&mut turning);
         let Some((Crash::TippedOver, at_s)) = outcome.crash else { panic!("{outcome:?}") };
         let (rate, estimate) = (turning.rate.mean(), turning.estimate.mean());
-        println!("{rate:.1} °/s, estimate {estimate:.1}°, 90° after {:.2} s", at_s - FIRST_SIDE_S);
-        (rate, estimate, at_s - FIRST_SIDE_S)
+        println!("{rate:.1} °/s, estimate {estimate:.1}°, 90° after {:.2} s", at_s - FIRST_HALF_S);
+        (rate, estimate, at_s - FIRST_HALF_S)
     };
     let p = f64::from(altered("steps", &[]).config.params.control.tilt_p);
     assert_eq!(p, 5.5, "docs/paper.md gives figures for this gain");
     let expected_rate = 30.0 / (TAU_S + 1.0 / p);
     let expected_estimate = expected_rate * TAU_S;
-    // The rate starts at 30° P and falls to that.
+    // The rate starts at 30° P and falls to the settled rate.
     let head_start = (30.0 * p - expected_rate) / (p + 1.0 / TAU_S);
     let expected_s = (90.0 - head_start) / expected_rate;
     println!("expected {expected_rate:.1} °/s, {expected_estimate:.1}°, {expected_s:.2} s");
@@ -223,26 +223,27 @@ fn a_30_degree_step_of_2_s_on_paper_passes_90_degrees() {
     assert!((rate / expected_rate - 1.0).abs() < 0.03 && (estimate / expected_estimate - 1.0).abs() < 0.03);
     // The rate loop takes a tenth of a second to follow.
     assert!((passes_at_s - expected_s).abs() < 0.1);
-    // Drag slows it down, and does not save it.
+    // Drag slows the turn down but does not prevent it.
     let (rate, _, passes_at_s) = fly(&[PAPER, first, second]);
     assert!(rate < expected_rate && passes_at_s < 2.0);
 }
 
-/// `paper` and `flight`, without a prefilter, beside a flight that another estimator flies.
-struct Beside {
+/// `paper` and `flight`, without a prefilter, in parallel to a flight controlled by another estimator.
+struct ParallelEstimators {
     rate_per_count: f32,
     force_per_count: f32,
     filters: [Estimator; 2],
-    /// The error that the closed form has: the true roll less the roll that the accelerometer shows, low-passed
+    /// The error by the closed form: the true roll minus the roll that the accelerometer shows, low-passed
     /// with τ.
     predicted: [f64; 2],
-    /// Largest error of each, largest difference from the closed form, rad, and squares over the doublet.
+    /// Largest error of each, largest difference from the closed form, rad, and the spread of the error over the
+    /// doublet.
     worst: [f64; 2],
     worst_difference: [f64; 2],
     over_doublet: [Spread; 2],
 }
 
-impl Observer for Beside {
+impl Observer for ParallelEstimators {
     fn step(&mut self, view: &StepView) {
         let dt_s = if view.time_us == 0 { 0.0 } else { 1e-3 };
         let sample = view.input.imu.expect("the inertial sensor is sampled at every step");
@@ -255,13 +256,13 @@ impl Observer for Beside {
         for (n, tau_s) in [TAU_S, 10.0].into_iter().enumerate() {
             self.filters[n].update(gyro, accel, None, dt_s);
             self.predicted[n] += (true_roll - shown - self.predicted[n]) * f64::from(dt_s) / tau_s;
-            // From the doublet to the vehicle's being level again.
-            if (FIRST_SIDE_S..FIRST_SIDE_S + 3.0).contains(&t_s) {
+            // From the doublet until the vehicle is level again.
+            if (FIRST_HALF_S..FIRST_HALF_S + 3.0).contains(&t_s) {
                 let error = true_roll - roll(self.filters[n].down());
                 self.worst[n] = self.worst[n].max(error.abs());
                 let difference = (error - self.predicted[n]).abs();
                 self.worst_difference[n] = self.worst_difference[n].max(difference);
-                if t_s < FIRST_SIDE_S + 1.4 {
+                if t_s < FIRST_HALF_S + 1.4 {
                     self.over_doublet[n].add(error);
                 }
             }
@@ -269,17 +270,17 @@ impl Observer for Beside {
     }
 }
 
-/// Eq 18's error in the doublets of `steps`, whoever flies them: e' = (φ − φ_shown − e)/τ. The gyroscope is
-/// not in it.
+/// Eq 18's error in the doublets of `steps`, whichever estimator controls the flight: e' = (φ − φ_shown − e)/τ. It does
+/// not depend on the gyroscope.
 ///
-/// For a tilt of 30° put on at once, φ − φ_shown = 30° e^(−t/T) with T = m/A, and after 0.7 s
+/// For a sudden tilt of 30°, φ − φ_shown = 30° e^(−t/T) with T = m/A, and after 0.7 s
 /// e = 30° T/(T − τ) (e^(−t/T) − e^(−t/τ)) = 22.2° with `paper` and 1.8° with `flight`.
 #[test]
-fn doublets_of_steps_mislead_paper_by_22_degrees_and_flight_by_2() {
+fn doublets_of_steps_mislead_paper_by_22_deg_flight_by_2() {
     let scene = altered("steps", &[]);
     let filter = |params| Estimator::new(&params).unwrap_or_else(|error| panic!("{error}"));
     let [gyro, accel, _] = scene.converters.map(|c| c.per_count() as f32);
-    let mut beside = Beside {
+    let mut parallel = ParallelEstimators {
         rate_per_count: gyro,
         force_per_count: accel,
         filters: [filter(EstimatorParams::PAPER), filter(EstimatorParams::FLIGHT)],
@@ -288,7 +289,7 @@ fn doublets_of_steps_mislead_paper_by_22_degrees_and_flight_by_2() {
         worst_difference: [0.0; 2],
         over_doublet: [Spread::default(); 2],
     };
-    let outcome = Flight::new(&scene, scene.seed).run(&mut beside);
+    let outcome = Flight::new(&scene, scene.seed).run(&mut parallel);
     assert_eq!(outcome.crash, None);
     let step = |tau_s: f64, t: f64| {
         let long = 0.65 / DRAG_KG_PER_S;
@@ -296,13 +297,14 @@ fn doublets_of_steps_mislead_paper_by_22_degrees_and_flight_by_2() {
     };
     assert!((step(TAU_S, 0.7) - 22.2).abs() < 0.1 && (step(10.0, 0.7) - 1.8).abs() < 0.1);
     for n in 0..2 {
-        let [worst, difference] = [beside.worst[n], beside.worst_difference[n]].map(f64::to_degrees);
-        let rms = libm::hypot(beside.over_doublet[n].deviation(), beside.over_doublet[n].mean()).to_degrees();
+        let [worst, difference] = [parallel.worst[n], parallel.worst_difference[n]].map(f64::to_degrees);
+        let rms =
+            libm::hypot(parallel.over_doublet[n].deviation(), parallel.over_doublet[n].mean()).to_degrees();
         println!(
-            "{n}: worst {worst:.2}°, {rms:.2}° RMS over the doublet, {difference:.2}° off the closed form"
+            "{n}: worst {worst:.2}°, {rms:.2}° RMS over the doublet, {difference:.2}° from the closed form"
         );
     }
-    let [paper, flight] = beside.worst.map(f64::to_degrees);
+    let [paper, flight] = parallel.worst.map(f64::to_degrees);
     assert!((paper - 22.5).abs() < 1.0 && (flight - 1.9).abs() < 0.3, "{paper} {flight}");
-    assert!(beside.worst_difference.iter().all(|d| d.to_degrees() < 0.5));
+    assert!(parallel.worst_difference.iter().all(|d| d.to_degrees() < 0.5));
 }

@@ -1,6 +1,6 @@
-//! Eq 17: 200 µT on the y axis, and what is left of the heading.
+//! Eq 17: the heading with hard iron of 200 µT on the y axis.
 //!
-//! The vehicle stands level on the bench of scene `static`, at Ankara, turned by hand to eight headings. Its
+//! The vehicle stands level on the bench of scene `static`, at Ankara, and is turned by hand to eight headings. Its
 //! flight controller runs the whole chain from counts.
 
 use flight_core::calibration::SensorCalibration;
@@ -14,12 +14,12 @@ use crate::still::STILL;
 
 const HARD_IRON_UT: f64 = 200.0;
 
-/// Five standard deviations of the heading, degrees. Magnetometer noise of 0.03 µT/√Hz across 25.4 µT of
-/// level field is 0.068 °/√Hz, and a first-order filter of τ = 0.3233 s leaves 1/√(2τ) of a density: 0.084°.
+/// Five standard deviations of the heading, degrees. Magnetometer noise of 0.03 µT/√Hz relative to 25.4 µT of
+/// horizontal field is 0.068 °/√Hz, and a first-order filter of τ = 0.3233 s leaves 1/√(2τ) of a density: 0.084°.
 /// Noise of the tilt, times the tangent of the field's inclination of 58°, adds 0.02°.
 const FIVE_DEVIATIONS_DEG: f64 = 0.45;
 
-/// `static` with its estimator `paper`, as it is or with the hard iron taken out.
+/// Returns `static` with its estimator `paper`, without or with the calibration of the hard iron.
 fn bench(calibrated: bool) -> Scene {
     let text = BUILT_IN.iter().find(|scene| scene.name == "static").expect("a built-in scene").text;
     let calibration = "[flight]\ncalibration.mag_ut.bias = [0.0, 200.0, 0.0]";
@@ -34,7 +34,7 @@ fn bench(calibrated: bool) -> Scene {
     scene
 }
 
-/// Heading that the chain shows after 3 s (nine times τ) at this true heading, degrees.
+/// Returns the heading that the chain shows after 3 s (nine times τ) at this true heading, degrees.
 fn shown_deg(scene: &Scene, heading_deg: f64) -> f64 {
     let half = 0.5 * heading_deg.to_radians();
     let attitude = Quaternion::new(libm::cos(half), 0.0, 0.0, libm::sin(half));
@@ -59,8 +59,8 @@ fn shown_deg(scene: &Scene, heading_deg: f64) -> f64 {
     f64::from(controller.attitude().to_euler().yaw).to_degrees()
 }
 
-/// Declination and level strength (µT) of the field.
-fn level_field() -> (f64, f64) {
+/// Returns declination (rad) and horizontal strength (µT) of the field.
+fn horizontal_field() -> (f64, f64) {
     let Vec3 { x, y, .. } = FIELD_ANKARA_UT;
     (libm::atan2(y, x), libm::hypot(x, y))
 }
@@ -69,17 +69,17 @@ fn headings_deg() -> impl Iterator<Item = f64> {
     (0..8).map(|eighth| -180.0 + 45.0 * f64::from(eighth))
 }
 
-/// a − b the short way round, degrees.
+/// Returns the absolute difference a − b, wrapped to at most 180°, degrees.
 fn apart_deg(a: f64, b: f64) -> f64 {
     libm::remainder(a - b, 360.0).abs()
 }
 
 #[test]
-fn uncalibrated_hard_iron_makes_the_heading_useless() {
+fn uncalibrated_hard_iron_holds_the_heading_near_minus_90() {
     let scene = bench(false);
-    let (declination, level) = level_field();
-    // Whatever the true heading, the level field seen is 200 µT to the right and 25.4 µT somewhere: the
-    // reading never leaves 7.3° around −90°.
+    let (declination, level) = horizontal_field();
+    // At every true heading, the measured horizontal field is the sum of 200 µT to the right and 25.4 µT in some
+    // direction: the reading stays within 7.3° of −90°.
     let half_width_deg = libm::asin(level / HARD_IRON_UT).to_degrees();
     assert!((half_width_deg - 7.29).abs() < 0.01);
     for heading_deg in headings_deg() {
@@ -92,12 +92,12 @@ fn uncalibrated_hard_iron_makes_the_heading_useless() {
         let centre = -90.0 + declination.to_degrees();
         assert!(apart_deg(shown, centre) < half_width_deg + FIVE_DEVIATIONS_DEG);
     }
-    // On the bench as built in, facing north: 77° off.
+    // In the built-in scene, facing north, the error is 77°.
     assert!(apart_deg(shown_deg(&scene, 0.0), -76.73) < FIVE_DEVIATIONS_DEG);
 }
 
 #[test]
-fn calibrated_hard_iron_leaves_the_heading_right() {
+fn calibrated_hard_iron_keeps_the_heading_accurate() {
     let scene = bench(true);
     for heading_deg in headings_deg() {
         let shown = shown_deg(&scene, heading_deg);

@@ -1,7 +1,7 @@
-//! The paper's equations where they span crates: noise from the simulator's sensors through the code that
-//! flies. What one crate can test by itself stands there; `docs/paper.md` says where, equation by equation.
+//! Tests of the paper's equations that span crates: noise from the simulator's sensors through the flight code. Tests
+//! of a single crate are in that crate; `docs/paper.md` lists them, equation by equation.
 //!
-//! Every figure here is checked against a closed form, with the bound derived beside it. A bound on random
+//! Every figure here is compared with a closed form, and the bound is derived beside it. A bound on random
 //! numbers is five standard errors, and the seeds are fixed.
 
 mod allan;

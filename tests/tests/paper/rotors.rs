@@ -1,4 +1,4 @@
-//! Eqs 4-9 and 14 between the crates: the vehicle does what the flight code's mixer means.
+//! Eqs 4-9 and 14 across crates: the simulated vehicle produces what the flight code's mixer computes.
 
 use flight_core::geometry::{Vec3, vec3};
 use flight_core::mixer::{Airframe, Mixer, Saturation, Wrench};
@@ -9,7 +9,7 @@ use crate::still::on_os4;
 
 const PARAMS: VehicleParams = VehicleParams::OS4;
 
-/// In the air, with body rates and rotor speeds in rad/s.
+/// Returns a vehicle in the air, with body rates and rotor speeds in rad/s.
 fn flying(effects: Vec<(&'static str, VehicleEffect)>, rates: Vec3<f64>, rotors: [f64; 4]) -> Vehicle {
     let mut vehicle = Vehicle::at_rest(PARAMS, Mount::Free(Ground::new(&PARAMS)), effects, 1e-3);
     vehicle.set_state(State { position: vec3(0.0, 0.0, -100.0), rates, ..*vehicle.state() }, rotors);
@@ -37,8 +37,8 @@ fn vehicle_produces_the_wrench_that_the_mixer_solves_for() {
     }
 }
 
-/// J_r Ω_r of eqs 8, 9 and 14 from the momentum itself: a rotor that spins anticlockwise seen from above turns
-/// about −z, and a body that turns at ω feels −ω × h.
+/// J_r Ω_r of eqs 8, 9 and 14 from the angular momentum: a rotor that turns anticlockwise seen from above rotates
+/// about −z, and a body that rotates with ω is subject to −ω × h.
 #[test]
 fn rotor_momentum_gives_the_signs_of_the_gyroscopic_terms() {
     let j = PARAMS.rotor_inertia_kg_m2;

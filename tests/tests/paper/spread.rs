@@ -1,6 +1,6 @@
-//! Mean and standard deviation of a long record, and how well it determines them.
+//! Mean and standard deviation of a long record, with a check within their standard errors.
 
-/// Sums over a record whose mean is not large against its deviation.
+/// Sums over a record whose mean is not much larger than its deviation.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Spread {
     count: f64,

@@ -1,19 +1,20 @@
-//! What a file says of the rotors and of the mass between them, made the figures that the simulator takes.
+//! Conversion of the tables `[rotors]` and `[inertia]` to the simulator's figures.
 
 use flight_core::geometry::Vec3;
 use input::InputError;
 use input::check::in_range;
 
-use super::{Inertia, Notes, Rotors, each, given, one_of};
+use super::{Inertia, Notes, Rotors, all_in_range, exactly_one, optional_in_range};
 
-/// Volts of a cell under load, for the speed that a motor's kV gives.
+/// Voltage of a cell under load, V: gives the speed at full throttle from a motor's kV.
 const LOADED_CELL_V: f64 = 3.7;
-/// Share of kV × volts that a motor reaches under its propeller: 70 to 80 % on thrust stands.
+/// Speed that a motor reaches with its propeller, as a share of kV × voltage: 70 to 80 % on thrust stands.
 const LOADED_SHARE: f64 = 0.75;
-/// d/b as a share of the propeller's diameter: 0.08 to 0.11 for two and three blades.
+/// Torque over thrust (d/b) as a share of the propeller's diameter: 0.08 to 0.11 for two and three blades.
 const TORQUE_PER_DIAMETER: f64 = 0.1;
 
 impl Inertia {
+    /// Returns the vehicle's moments of inertia about x, y and z, kg·m².
     pub(super) fn build(
         &self,
         mass_kg: f64,
@@ -23,16 +24,16 @@ impl Inertia {
     ) -> Result<Vec3<f64>, InputError> {
         let hub = self.hub_g.is_some() || self.hub_mm.is_some();
         let keys = [("kg_m2", self.kg_m2.is_some()), ("hub_g with hub_mm", hub)];
-        one_of("inertia", &keys)?;
+        exactly_one("inertia", &keys)?;
         let inertia = match (self.kg_m2, self.hub_g, self.hub_mm) {
             (Some(inertia), _, _) => {
-                each("inertia.kg_m2", inertia, 1e-6, 100.0, "kg m²")?;
+                all_in_range("inertia.kg_m2", inertia, 1e-6, 100.0, "kg m²")?;
                 inertia
             }
             (None, Some(hub_g), Some(hub_mm)) => {
                 in_range("inertia.hub_g", hub_g, 1.0, mass_kg * 1e3, "g")?;
-                each("inertia.hub_mm", hub_mm, 1.0, 2_000.0, "mm")?;
-                // A box of length, width and height, and the rest as points at the rotors.
+                all_in_range("inertia.hub_mm", hub_mm, 1.0, 2_000.0, "mm")?;
+                // The hub is a box of length, width and height; the rest of the mass is four points at the rotors.
                 let hub_kg = hub_g / 1e3;
                 let outside_kg = mass_kg - hub_kg;
                 let [length, width, height] = hub_mm.map(|mm| mm / 1e3);
@@ -44,7 +45,7 @@ impl Inertia {
                 ];
                 let [x, y, z] = inertia.map(|inertia| inertia * 1e3);
                 let how = format!(
-                    "a box of {hub_g} g and {:.0} g at the rotors: measure it, or take it from the drawing",
+                    "a box of {hub_g} g and {:.0} g at the rotors; measure them, or take them from the CAD model",
                     outside_kg * 1e3
                 );
                 notes.add("moments of inertia", format!("{x:.2}, {y:.2}, {z:.2} g m²"), how, true);
@@ -57,13 +58,13 @@ impl Inertia {
                 return Err(InputError::new("is missing: hub_mm needs it").field("inertia.hub_g"));
             }
         };
-        // No body has a moment larger than the other two together.
+        // No rigid body has a moment of inertia larger than the sum of the other two.
         let [x, y, z] = inertia;
         for (value, others) in [(x, y + z), (y, x + z), (z, x + y)] {
-            // Published ones break that by a percent.
+            // Published figures exceed the sum by about a percent: 5 % are allowed.
             if value > others * 1.05 {
                 return Err(InputError::new(
-                    "must be at most the sum of the other two: no body has such moments",
+                    "must be at most the sum of the other two moments of inertia, as for every rigid body",
                 )
                 .field("inertia.kg_m2")
                 .value(value));
@@ -74,26 +75,31 @@ impl Inertia {
 }
 
 impl Rotors {
-    pub(super) fn places(&self) -> Result<(f64, f64), InputError> {
-        let apart = self.forward_mm.is_some() || self.right_mm.is_some();
-        one_of("rotors", &[("arm_mm", self.arm_mm.is_some()), ("forward_mm with right_mm", apart)])?;
-        if let Some(arm_mm) = given("rotors.arm_mm", self.arm_mm, 20.0, 5e3, "mm")? {
-            let place_m = arm_mm / 1e3 * std::f64::consts::FRAC_1_SQRT_2;
-            return Ok((place_m, place_m));
+    /// Returns the distances of the rotors forward and right of the centre of gravity, m.
+    pub(super) fn positions(&self) -> Result<(f64, f64), InputError> {
+        let rectangle = self.forward_mm.is_some() || self.right_mm.is_some();
+        exactly_one("rotors", &[("arm_mm", self.arm_mm.is_some()), ("forward_mm with right_mm", rectangle)])?;
+        if let Some(arm_mm) = optional_in_range("rotors.arm_mm", self.arm_mm, 20.0, 5e3, "mm")? {
+            // Rotors at the corners of a square.
+            let distance_m = arm_mm / 1e3 * std::f64::consts::FRAC_1_SQRT_2;
+            return Ok((distance_m, distance_m));
         }
-        let place = |key: &str, value: Option<f64>, other: &str| {
-            given(&format!("rotors.{key}"), value, 14.0, 5e3, "mm")?.map(|mm| mm / 1e3).ok_or_else(|| {
-                InputError::new(format!("is missing: {other} needs it")).field(format!("rotors.{key}"))
-            })
+        let distance_m = |key: &str, value: Option<f64>, other: &str| {
+            optional_in_range(&format!("rotors.{key}"), value, 14.0, 5e3, "mm")?
+                .map(|mm| mm / 1e3)
+                .ok_or_else(|| {
+                    InputError::new(format!("is missing: {other} needs it")).field(format!("rotors.{key}"))
+                })
         };
         Ok((
-            place("forward_mm", self.forward_mm, "right_mm")?,
-            place("right_mm", self.right_mm, "forward_mm")?,
+            distance_m("forward_mm", self.forward_mm, "right_mm")?,
+            distance_m("right_mm", self.right_mm, "forward_mm")?,
         ))
     }
 
+    /// Returns the speed at full throttle, rad/s.
     pub(super) fn max_rad_s(&self, cells: u8, notes: &mut Notes) -> Result<f64, InputError> {
-        one_of(
+        exactly_one(
             "rotors",
             &[
                 ("max_rad_s", self.max_rad_s.is_some()),
@@ -101,20 +107,21 @@ impl Rotors {
                 ("kv_rpm_per_v", self.kv_rpm_per_v.is_some()),
             ],
         )?;
-        if let Some(speed) = given("rotors.max_rad_s", self.max_rad_s, 65.0, 1e4, "rad/s")? {
+        if let Some(speed) = optional_in_range("rotors.max_rad_s", self.max_rad_s, 65.0, 1e4, "rad/s")? {
             return Ok(speed);
         }
         const RAD_S_PER_RPM: f64 = std::f64::consts::TAU / 60.0;
-        if let Some(rpm) = given("rotors.max_rpm", self.max_rpm, 650.0, 9.5e4, "rpm")? {
+        if let Some(rpm) = optional_in_range("rotors.max_rpm", self.max_rpm, 650.0, 9.5e4, "rpm")? {
             return Ok(rpm * RAD_S_PER_RPM);
         }
-        let kv = given("rotors.kv_rpm_per_v", self.kv_rpm_per_v, 50.0, 30_000.0, "rpm/V")?.unwrap_or(0.0);
+        let kv = optional_in_range("rotors.kv_rpm_per_v", self.kv_rpm_per_v, 50.0, 30_000.0, "rpm/V")?
+            .unwrap_or(0.0);
         let speed = kv * RAD_S_PER_RPM * LOADED_CELL_V * f64::from(cells) * LOADED_SHARE;
         let how = format!("75 % of {kv} rpm/V at {LOADED_CELL_V} V a cell, {cells} cells");
         notes.add("speed at full throttle", format!("{speed:.0} rad/s"), how, true);
         if !(65.0..=1e4).contains(&speed) {
             return Err(InputError::new(format!(
-                "makes {speed:.0} rad/s at full throttle with {cells} cells: must be from 65 to 10000 rad/s"
+                "gives {speed:.0} rad/s at full throttle with {cells} cells: must give from 65 to 10000 rad/s"
             ))
             .field("rotors.kv_rpm_per_v")
             .value(kv));
@@ -122,19 +129,21 @@ impl Rotors {
         Ok(speed)
     }
 
+    /// Returns the thrust coefficient b, N·s².
     pub(super) fn thrust_coefficient(&self, max_rad_s: f64, notes: &mut Notes) -> Result<f64, InputError> {
         let keys = [("thrust_n_s2", self.thrust_n_s2), ("full_thrust_g", self.full_thrust_g)];
-        one_of("rotors", &keys.map(|(key, value)| (key, value.is_some())))?;
-        if let Some(b) = given("rotors.thrust_n_s2", self.thrust_n_s2, 1e-9, 0.1, "N s²")? {
+        exactly_one("rotors", &keys.map(|(key, value)| (key, value.is_some())))?;
+        if let Some(b) = optional_in_range("rotors.thrust_n_s2", self.thrust_n_s2, 1e-9, 0.1, "N s²")? {
             return Ok(b);
         }
-        let full_g = given("rotors.full_thrust_g", self.full_thrust_g, 1.0, 1e5, "g")?.unwrap_or(0.0);
+        let full_g =
+            optional_in_range("rotors.full_thrust_g", self.full_thrust_g, 1.0, 1e5, "g")?.unwrap_or(0.0);
         let b = full_g / 1e3 * crate::GRAVITY / (max_rad_s * max_rad_s);
         let how = format!("{full_g} g at {max_rad_s:.0} rad/s");
         notes.add("thrust coefficient", format!("{b:.3e} N s²"), how, false);
         if !(1e-9..=0.1).contains(&b) {
             return Err(InputError::new(format!(
-                "at {max_rad_s:.0} rad/s is {b:.3e} N s²: must be from 1e-9 to 0.1 N s²"
+                "gives a thrust coefficient of {b:.3e} N s² at {max_rad_s:.0} rad/s: must give from 1e-9 to 0.1 N s²"
             ))
             .field("rotors.full_thrust_g")
             .value(full_g));
@@ -142,10 +151,12 @@ impl Rotors {
         Ok(b)
     }
 
+    /// Returns the torque coefficient d, N·m·s².
     pub(super) fn torque_coefficient(&self, b: f64, notes: &mut Notes) -> Result<f64, InputError> {
-        // Checked even where a measured torque makes it needless: the rotors' inertia may take it, too.
-        let diameter_mm = given("rotors.propeller_mm", self.propeller_mm, 20.0, 2e3, "mm")?;
-        if let Some(d) = given("rotors.torque_n_m_s2", self.torque_n_m_s2, 1e-11, 0.1, "N m s²")? {
+        // Checked even if torque_n_m_s2 is given, because the rotors' inertia can also use the diameter.
+        let diameter_mm = optional_in_range("rotors.propeller_mm", self.propeller_mm, 20.0, 2e3, "mm")?;
+        if let Some(d) = optional_in_range("rotors.torque_n_m_s2", self.torque_n_m_s2, 1e-11, 0.1, "N m s²")?
+        {
             return Ok(d);
         }
         let Some(diameter_mm) = diameter_mm else {
@@ -160,11 +171,15 @@ impl Rotors {
         Ok(d)
     }
 
+    /// Returns the moment of inertia of a rotor J_r, kg·m².
     pub(super) fn rotor_inertia(&self, notes: &mut Notes) -> Result<f64, InputError> {
-        let measured = given("rotors.inertia_kg_m2", self.inertia_kg_m2, 0.0, 1.0, "kg m²")?;
-        let grams = given("rotors.propeller_g", self.propeller_g, 0.1, 1e3, "g")?;
+        let measured = optional_in_range("rotors.inertia_kg_m2", self.inertia_kg_m2, 0.0, 1.0, "kg m²")?;
+        let grams = optional_in_range("rotors.propeller_g", self.propeller_g, 0.1, 1e3, "g")?;
         if measured.is_some() || grams.is_some() {
-            one_of("rotors", &[("inertia_kg_m2", measured.is_some()), ("propeller_g", grams.is_some())])?;
+            exactly_one(
+                "rotors",
+                &[("inertia_kg_m2", measured.is_some()), ("propeller_g", grams.is_some())],
+            )?;
         }
         if let Some(inertia) = measured {
             return Ok(inertia);
@@ -181,7 +196,7 @@ impl Rotors {
         let Some(diameter_mm) = self.propeller_mm else {
             return Err(InputError::new("is missing: propeller_g needs it").field("rotors.propeller_mm"));
         };
-        // A rod.
+        // The propeller as a thin rod: m d²/12.
         let diameter_m = diameter_mm / 1e3;
         let inertia = grams / 1e3 * diameter_m * diameter_m / 12.0;
         notes.add(

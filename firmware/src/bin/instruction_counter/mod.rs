@@ -1,9 +1,9 @@
 //! Counts instructions on QEMU's Cortex-M4F.
 //!
-//! With `-icount shift=2` an instruction takes 4 ns of the emulator's virtual time, and its timer TIM2 counts
-//! nanoseconds, so a difference of two readings is four times the instructions between them. These are
-//! instructions, not cycles: loads from flash, taken branches, divisions and `vsqrt` cost more than one on a
-//! chip. A thousand `nop`s calibrate away what the measurement takes itself.
+//! With `-icount shift=2` an instruction takes 4 ns of the emulator's virtual time. The emulator's timer TIM2 counts
+//! nanoseconds, so the difference of two readings is four times the number of instructions between them. Instructions
+//! are not cycles: on a chip, loads from flash, taken branches, divisions and `vsqrt` take more than one cycle. The
+//! calibration removes the instructions of the measurement itself; a thousand `nop`s check it.
 
 use core::arch::asm;
 use core::fmt::Display;
@@ -21,33 +21,33 @@ unsafe fn HardFault(_frame: &ExceptionFrame) -> ! {
     }
 }
 
-/// Ends the emulator.
+/// Ends the emulation with status 0.
 pub fn exit() -> ! {
     loop {
         debug::exit(EXIT_SUCCESS);
     }
 }
 
-/// The counter of instructions.
+/// The instruction counter.
 pub struct InstructionCounter {
     timer: TIM2,
-    /// Instructions that a measurement of nothing reads.
+    /// Count of an empty measurement.
     overhead: u32,
 }
 
 impl InstructionCounter {
-    /// Lets TIM2 count nanoseconds, and calibrates the count.
+    /// Starts TIM2, which counts nanoseconds, and calibrates the count.
     pub fn start() -> Self {
         let Peripherals { TIM2: timer, .. } = Peripherals::take().expect("taken once");
         timer.psc().write(|w| w.psc().set(0));
-        // Its period stays 0, with which the emulator's timer never ends one.
+        // The period stays 0: with that the emulator's timer never ends a period.
         timer.cr1().write(|w| w.cen().set_bit());
         let mut counter = Self { timer, overhead: 0 };
         counter.calibrate();
         counter
     }
 
-    /// Instructions that `work` takes.
+    /// Runs `work`, and returns its result and its instructions.
     #[inline(always)]
     pub fn count<T>(&self, work: impl FnOnce() -> T) -> (T, u32) {
         let before = self.timer.cnt().read().bits();
@@ -57,22 +57,22 @@ impl InstructionCounter {
     }
 
     fn calibrate(&mut self) {
-        // In a loop as the one below, so that the compiler makes the same of both.
+        // A loop like the one below, so that the compiler generates the same code for both.
         let mut overhead = u32::MAX;
         for _ in 0..1_024 {
-            // SAFETY: does nothing.
+            // SAFETY: the assembly is empty.
             overhead = overhead.min(self.count(|| unsafe { asm!("") }).1);
         }
         self.overhead = overhead;
         let mut total = Total::default();
         for _ in 0..1_024 {
-            // SAFETY: does nothing, a thousand times.
+            // SAFETY: the assembly is a thousand `nop`s.
             total.add(self.count(|| unsafe { asm!(".rept 1000", "nop", ".endr") }).1);
         }
         total.print("1000 nops");
     }
 
-    /// Measures `stage` on each of `inputs`.
+    /// Counts `stage` on each of `inputs`, and prints the totals.
     pub fn stage<I, O>(
         &self,
         name: impl Display,
@@ -88,27 +88,27 @@ impl InstructionCounter {
     }
 }
 
-/// What a stage took over its inputs.
+/// Instruction counts of a stage over its inputs.
 #[derive(Clone, Copy, Default)]
 pub struct Total {
-    /// Inputs.
+    /// Number of inputs.
     pub inputs: u32,
-    /// Instructions in all.
+    /// Sum over all inputs.
     pub instructions: u32,
-    /// Most instructions for one input.
-    pub most: u32,
+    /// Largest count for one input.
+    pub max: u32,
 }
 
 impl Total {
-    /// One more input.
+    /// Adds the count of one input.
     pub fn add(&mut self, instructions: u32) {
         self.inputs += 1;
         self.instructions += instructions;
-        self.most = self.most.max(instructions);
+        self.max = self.max.max(instructions);
     }
 
-    /// `icount,<name>,<inputs>,<instructions in all>,<most for one input>`
+    /// Prints `icount,<name>,<inputs>,<instructions in all>,<most for one input>`.
     pub fn print(&self, name: impl Display) {
-        hprintln!("icount,{},{},{},{}", name, self.inputs, self.instructions, self.most);
+        hprintln!("icount,{},{},{},{}", name, self.inputs, self.instructions, self.max);
     }
 }

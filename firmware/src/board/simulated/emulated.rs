@@ -8,24 +8,24 @@ use stm32f4xx_hal::pac::{self, TIM4};
 /// The board's name.
 pub const NAME: &str = "QEMU netduinoplus2";
 
-/// What TIM5 counts, MHz.
+/// Clock of TIM5, MHz.
 pub const TIM5_MHZ: u16 = 1_000;
 
-/// What the serial port's baud rate is divided from, Hz. The emulator knows none.
+/// Clock of the serial port's baud-rate divider, Hz. The emulator ignores it.
 #[cfg(feature = "hil-usart")]
 pub const USART6_HZ: u32 = 16_000_000;
 
-/// All clocks run.
+/// Does nothing: all clocks run.
 pub fn start(_: pac::Peripherals) {}
 
-/// The count of instructions.
+/// Returns the instruction count.
 #[inline]
 pub fn instructions() -> u32 {
     // SAFETY: the counter is only read.
     unsafe { &*TIM4::ptr() }.cnt().read().bits()
 }
 
-/// The flight is over.
+/// Ends the flight: exits with status 0.
 #[cfg(feature = "hil")]
 pub fn end() -> ! {
     loop {

@@ -1,24 +1,24 @@
-//! `sim-host` at the other end of a link: each slot is a frame of it (`hil-link`), and all time is that of the
-//! frames.
+//! `sim-host` at the other end of a link. Each slot is one frame of the link (`hil-link`), and all times are those of
+//! the frames.
 //!
-//! The world turns in an interrupt that has the lowest priority of all and always comes again, so that each turn
-//! begins when every task is done with the one before:
+//! The link is served by an interrupt of the lowest priority that pends itself again after each run. So each of its
+//! runs begins when all tasks have finished their work of the previous one:
 //!
 //! ```text
 //!  slot  k                                                      k + 1
-//!        begin: it is the time of frame k;                      begin ...
-//!        its sample, or its lack of one, wakes `flight`
-//!        │ flight: step, pulses, answer
-//!        └───► await: waits for frame k + 1; it is half a millisecond before its time;
-//!              │      wakes `tick`, and that the slow tasks, which take what the frame brings
+//!        begin_slot: the time is that of frame k;               begin_slot ...
+//!        its sample, or the lack of one, wakes `control_loop`
+//!        │ control_loop: step, pulses, answer
+//!        └───► receive: waits for frame k + 1; the time is half a millisecond before that of frame k + 1;
+//!              │        wakes `tick`, which starts the slow tasks; they take the frame's inputs
 //! ```
-//! A frame that is damaged, or comes again, is answered with [`ToHost::Bad`] and steps nothing. One that is missing
-//! in the sequence is counted; the flight controller notices it by the time that it did not see.
+//! A damaged or repeated frame is answered with [`ToHost::Bad`] and runs no step. Frames missing in the sequence are
+//! counted; the flight controller sees the gap in time.
 //!
 //! # The watchdog
-//! The emulator has none, and a real one would bite whenever the host takes its time. Its stand-in has the same second,
-//! by the frames' time, and the same end: a reset of the chip, by SYSRESETREQ. What has caused it is kept in RAM that
-//! no start clears.
+//! The emulator has none, and a real one would reset the board whenever the host is slow. The replacement has the same
+//! period of a second, measured by the frames' time, and the same effect: a reset of the chip, by SYSRESETREQ. The
+//! cause is kept in RAM that no start clears.
 
 use core::cell::{Cell, RefCell};
 use core::mem::MaybeUninit;
@@ -33,7 +33,7 @@ use stm32f4xx_hal::pac::{Interrupt, interrupt};
 use tasks::{PERIOD_US, sampling};
 
 use super::chip::{end, instructions};
-use super::{CAME, now_us, play, sample_to_motors, sent, set_now, wake_flight};
+use super::{ARRIVED, last_outputs, now_us, prepare_frame, sample_to_motors, set_now, wake_control_loop};
 use crate::interrupts::enable;
 use crate::step::Step;
 
@@ -43,11 +43,11 @@ mod transport;
 
 use transport::Transport;
 
-/// The link, and where it stands.
+/// The link and its state.
 struct Link {
     transport: Transport,
     decoder: Decoder,
-    /// Number of the last frame, which the answer takes.
+    /// Sequence number of the last frame; the answer repeats it.
     sequence: Option<u32>,
     received: Received,
 }
@@ -55,13 +55,13 @@ struct Link {
 static LINK: Mutex<RefCell<Option<Link>>> = Mutex::new(RefCell::new(None));
 static CONFIG: Mutex<Cell<Option<Config>>> = Mutex::new(Cell::new(None));
 
-/// What the slow tasks find, each at its turn.
+/// Inputs for the slow tasks.
 static RC: Mutex<Cell<Option<RcFrame>>> = Mutex::new(Cell::new(None));
 static MAG: Mutex<Cell<Option<MagSample>>> = Mutex::new(Cell::new(None));
 static BATTERY: Mutex<Cell<Option<Battery>>> = Mutex::new(Cell::new(None));
 
 impl Link {
-    /// The next message that is in order. What is not is answered, and told to nobody.
+    /// Returns the next valid message that is in sequence. Other frames are answered here.
     fn next(&mut self) -> ToBoard {
         loop {
             let found = self.transport.receive(|byte| {
@@ -75,7 +75,7 @@ impl Link {
                 self.answer(&ToHost::Bad(self.received));
                 continue;
             };
-            // The first frame of a flight begins the count.
+            // The first frame of a flight starts the sequence.
             let order = self.sequence.map_or(Order::Next, |last| Order::of(sequence, Some(last)));
             match order {
                 Order::Next => {}
@@ -93,23 +93,23 @@ impl Link {
 
     fn answer(&mut self, message: &ToHost) {
         let mut frame = [0; MAX_FRAME];
-        // Every message to the host is far shorter than a packet can be.
+        // Every message to the host is far shorter than the longest packet.
         if let Ok(length) = encode(self.sequence.unwrap_or(0), message, &mut frame) {
             self.transport.send(&frame[..length]);
         }
     }
 }
 
-/// Runs `work` on the link, which `begin` has opened.
-fn with<T>(cs: &CriticalSection, work: impl FnOnce(&mut Link) -> T) -> T {
+/// Runs `work` on the link, which [`begin`] has opened.
+fn with_link<T>(cs: &CriticalSection, work: impl FnOnce(&mut Link) -> T) -> T {
     match LINK.borrow(cs).borrow_mut().as_mut() {
         Some(link) => work(link),
         None => panic!("the link is not open"),
     }
 }
 
-/// Says that the board is there, learns what to be, and takes the first frame. Returns whether the watchdog has
-/// brought it here.
+/// Opens the link, announces the board, receives the configuration and the first frame. Returns whether the watchdog
+/// caused the last reset.
 pub fn begin(nvic: &mut NVIC) -> bool {
     let watchdog_reset = RESET_MARK.take();
     free(|cs| {
@@ -134,56 +134,56 @@ pub fn begin(nvic: &mut NVIC) -> bool {
         LINK.borrow(cs).replace(Some(link));
     });
     receive();
-    enable(nvic, TURN, TURN_PRIORITY);
-    NVIC::pend(TURN);
+    enable(nvic, SLOT_INTERRUPT, SLOT_PRIORITY);
+    NVIC::pend(SLOT_INTERRUPT);
     watchdog_reset
 }
 
-/// What the flight is flown with.
+/// Returns the configuration of the flight.
 pub fn config() -> Config {
     match free(|cs| CONFIG.borrow(cs).get()) {
         Some(config) => config,
-        None => panic!("the link has not begun"),
+        None => panic!("the link has no configuration yet"),
     }
 }
 
-/// The interrupt in which the world turns: one that the chip's floating-point unit raises only if it is asked to, and
-/// nobody does. Of all that have its priority, `magnetometer` among them, it has the highest number, and so comes last.
-const TURN: Interrupt = Interrupt::FPU;
-const TURN_PRIORITY: u8 = 1;
+/// The interrupt that serves the link: that of the floating-point unit, which is never enabled there. It has the
+/// highest number of all vectors of its priority (that of `magnetometer`), so it runs last.
+const SLOT_INTERRUPT: Interrupt = Interrupt::FPU;
+const SLOT_PRIORITY: u8 = 1;
 
-/// The slot that comes next: its time, and whether it has a sample.
+/// Time of the next slot, µs, and whether it has a sample.
 static TIME_US: AtomicU32 = AtomicU32::new(0);
 static SAMPLED: AtomicBool = AtomicBool::new(false);
-/// The slot has begun.
+/// Whether the slot has begun.
 static BEGUN: AtomicBool = AtomicBool::new(false);
 
 #[interrupt]
 fn FPU() {
-    let came = instructions();
+    let arrived = instructions();
     let begun = BEGUN.load(Ordering::Relaxed);
     BEGUN.store(!begun, Ordering::Relaxed);
-    NVIC::pend(TURN);
+    NVIC::pend(SLOT_INTERRUPT);
     if begun {
         receive();
     } else {
-        begin_slot(came);
+        begin_slot(arrived);
     }
 }
 
-fn begin_slot(came: u32) {
+fn begin_slot(arrived: u32) {
     let at_us = TIME_US.load(Ordering::Relaxed);
     set_now(at_us);
-    bite_if_hungry(at_us);
-    CAME.store(came, Ordering::Relaxed);
+    reset_if_watchdog_expired(at_us);
+    ARRIVED.store(arrived, Ordering::Relaxed);
     let sampled = SAMPLED.load(Ordering::Relaxed);
-    wake_flight(if sampled { sampling::ready(at_us, false) } else { sampling::overdue(at_us) });
+    wake_control_loop(if sampled { sampling::ready(at_us, false) } else { sampling::overdue(at_us) });
 }
 
-/// Waits for the next frame, and lays out what it brings.
+/// Waits for the next frame, and prepares its slot.
 fn receive() {
     free(|cs| {
-        with(cs, |link| {
+        with_link(cs, |link| {
             let step = loop {
                 match link.next() {
                     ToBoard::Step(step) => break step,
@@ -193,22 +193,17 @@ fn receive() {
             };
             let at_us = step.time_us as u32;
             TIME_US.store(at_us, Ordering::Relaxed);
-            // However long it was waited for: the tasks know no time but that of the frames.
+            // The time spent waiting does not count: the tasks only see the frames' times.
             set_now(at_us.wrapping_sub(PERIOD_US / 2));
             SAMPLED.store(step.imu.is_some(), Ordering::Relaxed);
-            for_the_tasks(cs, step.rc, step.mag, step.battery);
-            play(step.imu.unwrap_or_default());
+            store_inputs(cs, step.rc, step.mag, step.battery);
+            prepare_frame(step.imu.unwrap_or_default());
         });
     });
 }
 
-/// What is there already stays until it is taken, or something newer comes.
-fn for_the_tasks(
-    cs: &CriticalSection,
-    rc: Option<RcFrame>,
-    mag: Option<MagSample>,
-    battery: Option<Battery>,
-) {
+/// Stores inputs for the slow tasks. An input that was not taken yet stays until a newer one replaces it.
+fn store_inputs(cs: &CriticalSection, rc: Option<RcFrame>, mag: Option<MagSample>, battery: Option<Battery>) {
     if rc.is_some() {
         RC.borrow(cs).set(rc);
     }
@@ -220,49 +215,49 @@ fn for_the_tasks(
     }
 }
 
-/// The pilot's frames.
+/// The pilot's frames from the link.
 #[derive(Default)]
 pub struct RcReceiver(());
 
 impl RcReceiver {
-    /// The frame, if one has come.
+    /// Returns the frame, if one has come.
     pub fn poll(&mut self) -> Option<RcFrame> {
         free(|cs| RC.borrow(cs).take())
     }
 }
 
-/// The battery.
+/// The battery voltages from the link.
 #[derive(Default)]
 pub struct BatteryAdc(());
 
 impl BatteryAdc {
-    /// The reading, if one has come.
+    /// Returns the voltage, if one has come.
     pub fn measure(&mut self) -> Option<Battery> {
         free(|cs| BATTERY.borrow(cs).take())
     }
 }
 
-/// The magnetometer.
+/// The magnetometer samples from the link.
 #[derive(Default)]
 pub struct Magnetometer(());
 
 impl Magnetometer {
-    /// The sample, if one has come.
+    /// Returns the sample, if one has come.
     pub fn run(&mut self) -> Option<MagSample> {
         free(|cs| MAG.borrow(cs).take())
     }
 }
 
-/// The answers.
+/// The answers to the host.
 #[derive(Default)]
 pub struct Monitor(());
 
 impl Monitor {
     /// Answers a step.
     pub fn show(&mut self, step: &Step) {
-        let (pulses_us, driven) = sent();
+        let (pulses_us, driven) = last_outputs();
         free(|cs| {
-            with(cs, |link| {
+            with_link(cs, |link| {
                 let done = Done {
                     time_us: step.time_us,
                     state: step.state,
@@ -280,49 +275,50 @@ impl Monitor {
     }
 }
 
-/// The real one's time, µs.
+/// Period of the simulated watchdog, µs: that of the real one.
 const WATCHDOG_US: u32 = 1_000_000;
 
-/// When it was last fed, or started.
+/// Time of the watchdog's start or last feed, µs.
 static FED_US: AtomicU32 = AtomicU32::new(0);
 
-/// The stand-in of the watchdog.
+/// The simulated watchdog.
 pub struct Watchdog;
 
 impl Watchdog {
-    /// Another second.
+    /// Starts a new period.
     pub fn feed(&mut self) {
         FED_US.store(now_us(), Ordering::Relaxed);
     }
 }
 
-/// Resets the chip if nobody has fed the watchdog for its time.
-fn bite_if_hungry(at_us: u32) {
-    // The first frame starts it. Who feeds it a moment before a slot's start may be ahead of the frame's time.
+/// Resets the chip if the watchdog's period has ended.
+fn reset_if_watchdog_expired(at_us: u32) {
+    // The first frame starts the watchdog. A feed shortly before the start of a slot may have a later time than the
+    // frame.
     static STARTED: AtomicBool = AtomicBool::new(false);
     if !STARTED.load(Ordering::Relaxed) {
         STARTED.store(true, Ordering::Relaxed);
         FED_US.store(at_us, Ordering::Relaxed);
     }
-    let hungry_us = at_us.wrapping_sub(FED_US.load(Ordering::Relaxed)) as i32;
-    if hungry_us > WATCHDOG_US as i32 {
+    let since_feed_us = at_us.wrapping_sub(FED_US.load(Ordering::Relaxed)) as i32;
+    if since_feed_us > WATCHDOG_US as i32 {
         RESET_MARK.set();
         SCB::sys_reset();
     }
 }
 
-/// A word that outlives a reset.
+/// A word that survives a reset.
 struct ResetMark(MaybeUninit<AtomicU32>);
 
 #[unsafe(link_section = ".uninit.reset_mark")]
 static RESET_MARK: ResetMark = ResetMark(MaybeUninit::uninit());
 
 impl ResetMark {
-    /// Whatever else is in the word after power-up, it is hardly this.
+    /// The mark of a watchdog reset. The word's random content after power-up is very unlikely to be equal.
     const WATCHDOG: u32 = 0x77a7_c4d0;
 
     fn word(&self) -> &AtomicU32 {
-        // SAFETY: any bits are a number.
+        // SAFETY: every bit pattern is a valid number.
         unsafe { self.0.assume_init_ref() }
     }
 

@@ -1,28 +1,27 @@
-//! An STM32F405 that is wired to no sensor and no motor: QEMU's `netduinoplus2`, or a flight board on a desk.
+//! An STM32F405 without sensors and motors: QEMU's `netduinoplus2`, or a flight board on a desk.
 //!
-//! The same tasks run here as in flight. What they get comes from a [`source`]:
+//! The same tasks run here as in flight. Their inputs come from a [`source`]:
 //!
 //! | features | chip | source |
 //! |---|---|---|
-//! | `qemu` | emulated | the table of `fixed-input`, at the times of an interrupt that comes twice a millisecond |
+//! | `qemu` | emulated | the table of `fixed-input`, timed by an interrupt that comes twice a millisecond |
 //! | `hil-qemu` | emulated | `sim-host` at the other end of two pipes |
 //! | `hil-usart` | emulated | `sim-host` at the other end of a serial port |
-//! | `hil` | the flight board's | the same |
+//! | `hil` | that of a flight board | `sim-host` at the other end of a serial port |
 //!
-//! Nothing can turn a motor: no pin is connected to a timer, and on a flight board the motors' timers do not even have
-//! a clock.
+//! No motor can turn: no pin is connected to a timer, and on a flight board the motor timers do not even have a clock.
 //!
-//! What the emulator lacks decides much (measured with 7.2): RCC reads as zero, so that the clock setup of
-//! a flight board would wait for ever; SPI is a stub; of the timers, 2 to 5 count (at 1 GHz, whatever the clock
-//! tree says) and interrupt at the end of their period, but have no compare interrupt, and restarting one puts
-//! its next interrupt at a wrong time.
+//! The emulator's limits determine much of this module (measured with 7.2). RCC reads as zero, so a flight board's
+//! clock set-up would never end. SPI is a stub. Of the timers, only 2 to 5 count, at 1 GHz regardless of the clock
+//! tree. They interrupt at the end of their period, but have no compare interrupt, and restarting one gives its next
+//! interrupt a wrong time.
 //!
-//! # What a step costs
-//! From the entry of the interrupt that brings a sample to the last compare value of the motors, instructions are
-//! counted on the emulator: TIM4 counts 250 MHz there, and with `-icount shift=2` an instruction takes 4 ns. In that
-//! are the control loop's entry, its locks, the decoding of the frame, the flight controller with arming and failsafe,
-//! and the pulses' conversion. Not in it is what only the flight board does: starting the burst, looking at its end,
-//! and waiting for room in the timers' period if there is none.
+//! # Cost of a step
+//! The emulator counts the instructions from the entry of the interrupt that brings a sample to the last write of a
+//! motor's compare value: TIM4 counts 250 MHz there, and with `-icount shift=2` an instruction takes 4 ns. The count
+//! includes the control loop's entry, its locks, the decoding of the frame, the flight controller with arming and
+//! failsafe, and the conversion of the pulses. It does not include the work that only the flight board does: starting
+//! the burst, checking its end, and waiting near the end of the timers' period.
 
 use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 
@@ -33,7 +32,7 @@ use flight_core::esc::protocol::{Protocol, STOP_US};
 use flight_core::sample::ImuSample;
 use stm32f4xx_hal::pac::{self, TIM3, TIM4, TIM5};
 use stm32f4xx_hal::rcc::{Enable, Reset};
-use tasks::sampling::{self, BurstBus, FrameBuffer, Next, Signal};
+use tasks::sampling::{self, Action, BurstBus, FrameBuffer, Signal};
 
 use super::{Board, stop};
 use crate::interrupts::WAKE_CONTROL_LOOP;
@@ -50,7 +49,7 @@ mod source;
 pub use chip::{NAME, halt};
 pub use source::{BatteryAdc, Magnetometer, Monitor, RcReceiver, Watchdog};
 
-/// Two timers, as most flight boards have them; no pin is connected to them.
+/// Two timers, as on most flight boards; no pin is connected to them.
 const TIMERS: [Timer; 2] = [
     Timer {
         registers: TIM4::PTR.cast(),
@@ -72,7 +71,7 @@ const fn pad(timer: usize, channel: u8) -> Pad {
     Pad { timer: TIMERS[timer].registers, channel, complementary: false }
 }
 
-/// The emulator's TIM4 has a prescaler of 3 then, which makes it count instructions.
+/// With this protocol the emulator's TIM4 has a prescaler of 3, with which it counts instructions.
 const LINES: Lines = Lines::new(
     esc::Outputs {
         timers: &TIMERS,
@@ -84,9 +83,9 @@ const LINES: Lines = Lines::new(
 );
 
 /// # Safety
-/// Whoever calls it has the timers.
+/// The caller must own the timers.
 unsafe fn enable_motor_timers() {
-    // SAFETY: the caller's.
+    // SAFETY: the caller owns the timers.
     unsafe {
         TIM3::enable_unchecked();
         TIM4::enable_unchecked();
@@ -94,29 +93,29 @@ unsafe fn enable_motor_timers() {
 }
 
 /// # Safety
-/// Whoever calls it has the timers.
+/// The caller must own the timers.
 unsafe fn reset_motor_timers() {
-    // SAFETY: the caller's.
+    // SAFETY: the caller owns the timers.
     unsafe {
         TIM3::reset_unchecked();
         TIM4::reset_unchecked();
     }
 }
 
-/// Wakes `flight`: software alone plays the burst.
-fn wake_flight(next: Next) {
+/// Wakes `control_loop`: software simulates the burst.
+fn wake_control_loop(next: Action) {
     match next {
-        Next::Burst | Next::Flight => NVIC::pend(WAKE_CONTROL_LOOP),
-        Next::Stop => stop(),
+        Action::StartBurst | Action::WakeControlLoop => NVIC::pend(WAKE_CONTROL_LOOP),
+        Action::StopMotors => stop(),
     }
 }
 
-/// Starts the time, and the source.
+/// Starts the time and the source.
 pub fn init(mut core: cortex_m::Peripherals, device: pac::Peripherals) -> Board {
     chip::start(device);
     LINES.start();
-    // TIM3 is the one that is asked for room in the period. Here its count does not end with the period: it goes
-    // slowly, and begins anew with each slot, so that there is always room.
+    // The outputs poll TIM3's counter for room in the period. Here TIM3 counts slowly, and each slot restarts its
+    // count, so that there is always room.
     tim3().psc().write(|w| w.psc().set(u16::MAX));
     tim5().psc().write(|w| w.psc().set(chip::TIM5_MHZ - 1));
     tim5().egr().write(|w| w.ug().set_bit());
@@ -141,18 +140,18 @@ pub fn init(mut core: cortex_m::Peripherals, device: pac::Peripherals) -> Board 
 /// TIM5's count at the time zero.
 static ZERO: AtomicU32 = AtomicU32::new(0);
 
-/// Free-running microseconds; zero is the first slot's start.
+/// Returns the free-running time, µs; zero is the first slot's start.
 pub fn now_us() -> u32 {
     tim5().cnt().read().cnt().bits().wrapping_sub(ZERO.load(Ordering::Relaxed))
 }
 
-/// It is this time now.
+/// Sets the current time, µs.
 fn set_now(us: u32) {
     ZERO.store(ZERO.load(Ordering::Relaxed).wrapping_add(now_us().wrapping_sub(us)), Ordering::Relaxed);
 }
 
 fn tim3() -> &'static pac::tim3::RegisterBlock {
-    // SAFETY: the control loop, which also writes to it, does not run while anybody here does.
+    // SAFETY: the control loop also writes to it, but does not run at the same time as the other users.
     unsafe { &*TIM3::ptr() }
 }
 
@@ -161,18 +160,18 @@ fn tim5() -> &'static pac::tim5::RegisterBlock {
     unsafe { &*TIM5::ptr() }
 }
 
-/// When the sample came, in instructions.
-static CAME: AtomicU32 = AtomicU32::new(0);
-/// When the motors' last compare value was written.
-static WRITTEN: AtomicU32 = AtomicU32::new(0);
+/// Instruction count when the sample came.
+static ARRIVED: AtomicU32 = AtomicU32::new(0);
+/// Instruction count after the motors' last compare value was written.
+static OUTPUTS_WRITTEN: AtomicU32 = AtomicU32::new(0);
 
-/// The frame of the slot that comes next.
+/// The frame of the next slot.
 static FRAME: FrameBuffer = FrameBuffer::new();
 
-/// Prepares a slot: its frame as the sensor would send it, and the task `tick`, which brings the rest.
-fn play(sample: ImuSample) {
+/// Prepares a slot: writes its frame as the IMU would send it, and pends the task `tick`, which starts the other tasks.
+fn prepare_frame(sample: ImuSample) {
     let axes = sample.accel.into_iter().chain(sample.gyro).flat_map(i16::to_be_bytes);
-    // The byte that comes with the address, the axes, two bytes of time, and the flag of a new sample.
+    // The byte received with the address, the axes, two bytes of time, and the flag of a new sample.
     let mut frame = [0; FRAME_LEN];
     for (place, byte) in frame.iter_mut().zip([0].into_iter().chain(axes).chain([0, 0, 0x08])) {
         *place = byte;
@@ -182,14 +181,15 @@ fn play(sample: ImuSample) {
     SCB::set_pendst();
 }
 
-/// The slots' frames.
+/// The frames of the slots.
 pub struct Frames;
 
 impl BurstBus for Frames {
-    /// Whoever plays the sensor plays its end too.
-    const SETS_UP: bool = false;
+    /// The simulated IMU never needs a set-up.
+    const SUPPORTS_SETUP: bool = false;
 
-    /// Software pends the vector here, and so nothing stays up: the frame is there before the vector is pended.
+    /// Only software pends the vector here, so there is no flag to clear. The frame is written before the vector is
+    /// pended.
     #[inline]
     fn acknowledge(&mut self) -> Signal {
         Signal::Done
@@ -203,27 +203,27 @@ impl BurstBus for Frames {
     fn abort(&mut self) {}
 }
 
-/// The slots' samples.
+/// The samples of the slots.
 pub type Sampler = sampling::Sampler<Frames>;
 
-/// The sensor is played, and never set up.
+/// The simulated IMU, which is never set up.
 pub struct Imu;
 
 impl Imu {
-    /// Is never called.
+    /// Does nothing: it is never called.
     pub fn run(&mut self) {}
 }
 
-// The pulses last sent, µs as the bits of an f32, and whether with a permit: for the record.
+// The pulses sent last, µs as the bits of an f32, and whether they were sent with a permit: for the record.
 static SENT: [AtomicU32; 4] = [const { AtomicU32::new(STOP_US.to_bits()) }; 4];
 static DRIVEN: AtomicBool = AtomicBool::new(false);
 
 #[inline]
 fn send(driven: bool, pulses_us: [f32; 4]) {
     let [front_left, front_right, rear_right, rear_left] = pulses_us;
-    // PWM takes every pulse.
+    // PWM accepts every pulse.
     let _ = LINES.send([rear_right, front_right, rear_left, front_left]);
-    WRITTEN.store(chip::instructions(), Ordering::Relaxed);
+    OUTPUTS_WRITTEN.store(chip::instructions(), Ordering::Relaxed);
     DRIVEN.store(driven, Ordering::Relaxed);
     for (sent, us) in SENT.iter().zip(pulses_us) {
         sent.store(us.to_bits(), Ordering::Relaxed);
@@ -247,17 +247,17 @@ impl Outputs {
     }
 }
 
-/// [`Outputs::stop`], from a fault.
+/// Sends the stop pulse after a fault.
 pub fn stop_after_fault() {
     send(false, [STOP_US; 4]);
 }
 
-/// What a step with a sample took, from its interrupt to the motors' last compare value, in instructions.
+/// Returns the instructions of a step with a sample, from its interrupt to the motors' last compare value.
 fn sample_to_motors() -> u32 {
-    WRITTEN.load(Ordering::Relaxed).wrapping_sub(CAME.load(Ordering::Relaxed))
+    OUTPUTS_WRITTEN.load(Ordering::Relaxed).wrapping_sub(ARRIVED.load(Ordering::Relaxed))
 }
 
-/// What went out to the motors last, µs, and whether with a permit.
-fn sent() -> ([f32; 4], bool) {
+/// Returns the pulses sent last, µs, and whether they were sent with a permit.
+fn last_outputs() -> ([f32; 4], bool) {
     (SENT.each_ref().map(|us| f32::from_bits(us.load(Ordering::Relaxed))), DRIVEN.load(Ordering::Relaxed))
 }

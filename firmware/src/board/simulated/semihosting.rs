@@ -7,11 +7,11 @@ use cortex_m_semihosting::{nr, syscall};
 const DOWN: &CStr = c"hil-down.fifo";
 const UP: &CStr = c"hil-up.fifo";
 
-/// The pipes' handles.
+/// The two pipes and the receive buffer.
 pub struct Transport {
     down: usize,
     up: usize,
-    /// Bytes that have come, and those of them that are still to be looked at.
+    /// Received bytes; those from `next` to `end` have not been processed yet.
     bytes: [u8; 256],
     next: usize,
     end: usize,
@@ -29,7 +29,7 @@ impl Transport {
         }
     }
 
-    /// Gives bytes to `take`, waiting for them, until it returns something.
+    /// Receives bytes and passes them to `take` until it returns a value.
     pub fn receive<T>(&mut self, mut take: impl FnMut(u8) -> Option<T>) -> T {
         loop {
             while self.next < self.end {
@@ -41,23 +41,23 @@ impl Transport {
             }
             // SAFETY: the length is that of the buffer.
             let left = unsafe { syscall!(READ, self.down, self.bytes.as_mut_ptr(), self.bytes.len()) };
-            // A pipe brings what there is, which is no more than was asked for.
+            // A pipe returns the available bytes, never more than the requested number.
             (self.next, self.end) = (0, self.bytes.len().saturating_sub(left));
             assert_ne!(self.end, 0, "the host has closed {DOWN:?}");
         }
     }
 
-    /// Sends all of it.
+    /// Sends all bytes.
     pub fn send(&mut self, bytes: &[u8]) {
         // SAFETY: the length is that of the bytes.
         let left = unsafe { syscall!(WRITE, self.up, bytes.as_ptr(), bytes.len()) };
-        assert_eq!(left, 0, "bytes that the host did not take");
+        assert_eq!(left, 0, "the host has not accepted all bytes");
     }
 }
 
 fn open(name: &CStr, mode: usize) -> usize {
-    // SAFETY: the name is terminated, and its length given.
+    // SAFETY: the name is terminated, and its length is given.
     let handle = unsafe { syscall!(OPEN, name.as_ptr(), mode, name.count_bytes()) };
-    assert_ne!(handle, usize::MAX, "the host does not let {name:?} be opened");
+    assert_ne!(handle, usize::MAX, "the host cannot open {name:?}");
     handle
 }

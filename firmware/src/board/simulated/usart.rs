@@ -1,26 +1,26 @@
-//! USART6, to a serial port of the host.
+//! USART6, connected to a serial port of the host.
 
 use stm32f4xx_hal::pac::{USART6, usart1::RegisterBlock};
 
 use crate::board::simulated::chip::USART6_HZ;
 
-/// Bits per second: as `sim-host` has it.
+/// Baud rate, bit/s: the same as in `sim-host`.
 const BAUD: u32 = 921_600;
 
 /// The port.
 pub struct Transport(());
 
 impl Transport {
-    /// Switches it on.
+    /// Enables the port.
     pub fn open() -> Self {
         let divider = const { (USART6_HZ + BAUD / 2) / BAUD };
-        // SAFETY: the register takes a divider in sixteenths, which with 16 samples a bit is the ratio itself.
+        // SAFETY: the register holds the divider in sixteenths, which with 16-fold oversampling is the ratio itself.
         port().brr().write(|w| unsafe { w.bits(divider as u16) });
         port().cr1().write(|w| w.ue().set_bit().te().set_bit().re().set_bit());
         Self(())
     }
 
-    /// Gives bytes to `take`, waiting for them, until it returns something.
+    /// Receives bytes and passes them to `take` until it returns a value.
     pub fn receive<T>(&mut self, mut take: impl FnMut(u8) -> Option<T>) -> T {
         loop {
             while port().sr().read().rxne().bit_is_clear() {}
@@ -30,7 +30,7 @@ impl Transport {
         }
     }
 
-    /// Sends all of it.
+    /// Sends all bytes.
     pub fn send(&mut self, bytes: &[u8]) {
         for byte in bytes {
             while port().sr().read().txe().bit_is_clear() {}
@@ -40,6 +40,6 @@ impl Transport {
 }
 
 fn port() -> &'static RegisterBlock {
-    // SAFETY: nobody else uses this port.
+    // SAFETY: no other code uses this port.
     unsafe { &*USART6::ptr() }
 }

@@ -1,5 +1,5 @@
-//! Every public function of the estimators over its whole domain: eq 18 against second filters in f64, the gyroscope's
-//! zero against the plain mean, and what is promised of anything that comes in.
+//! Every public function of the estimators over its whole domain: eq 18 against second filters in f64, the zero of
+//! the gyroscope against the plain mean, and the documented properties for any input.
 
 use super::*;
 use crate::geometry::Mat3;
@@ -17,7 +17,7 @@ fn about(size: f32) -> impl Strategy<Value = Vec3<f32>> {
     [-size..size, -size..size, -size..size].prop_map(Vec3::from)
 }
 
-/// A sample, and the time before it.
+/// A sample, and the time since the last one.
 #[derive(Clone, Copy, Debug)]
 struct Sample {
     gyro: Vec3<f32>,
@@ -26,7 +26,7 @@ struct Sample {
     dt_s: f32,
 }
 
-/// Anything that a sensor may read, mostly near to what it reads at rest.
+/// Possible readings of the sensors, mostly close to those at rest.
 fn sample() -> impl Strategy<Value = Sample> {
     let gyro = prop_oneof![about(0.3), about(8.0)];
     let accel = prop_oneof![4 => about(4.0).prop_map(|off| off + LEVEL), 2 => about(20.0), 1 => about(0.5)];
@@ -49,20 +49,20 @@ fn weight() -> impl Strategy<Value = Weight> {
     ]
 }
 
-/// Eq 18's 1 − α.
-fn of_measurement(weight: Weight, dt_s: f64) -> f64 {
+/// Returns 1 − α of eq 18.
+fn measurement_weight(weight: Weight, dt_s: f64) -> f64 {
     match weight {
         Weight::TimeConstant { tau_s } => 1.0 - f64::from(tau_s) / (f64::from(tau_s) + dt_s),
         Weight::Fixed { alpha } => 1.0 - f64::from(alpha),
     }
 }
 
-/// `None` where rounding may decide whether a < b.
+/// Returns whether a < b, or `None` where rounding may decide.
 fn below(a: f64, b: f64) -> Option<bool> {
     ((a - b).abs() > 1e-3 * b).then_some(a < b)
 }
 
-/// The rotation by a vector, by Rodrigues' formula.
+/// Returns the rotation by a vector, by Rodrigues' formula.
 pub(in crate::estimator) fn rotation(r: V) -> Mat3<f64> {
     let angle = r.norm();
     if angle == 0.0 {
@@ -74,31 +74,33 @@ pub(in crate::estimator) fn rotation(r: V) -> Mat3<f64> {
     Mat3 { rows: [vec3(1.0, 0.0, 0.0), vec3(0.0, 1.0, 0.0), vec3(0.0, 0.0, 1.0)].map(turned) }.transpose()
 }
 
-/// The flight filter on a rotation matrix: the share of the angle between two directions, about their common normal.
+/// The flight filter on a rotation matrix: rotates by the share of the angle between two directions, about their
+/// common normal.
 struct OnAMatrix {
     weight: Weight,
     declination: f64,
     attitude: Mat3<f64>,
-    /// How old tilt and heading are, once they are begun.
+    /// Age of tilt and heading; `None` before their first measurement.
     tilt_age: Option<f64>,
     heading_age: Option<f64>,
     mag_dt: f64,
 }
 
 impl OnAMatrix {
-    /// The share of a measurement: all of it for the first, then a mean's until it is τ old. Returns the age, too.
+    /// Returns the share of a measurement and the new age. The share is 1 for the first measurement, then that of a
+    /// mean until the age is τ.
     fn share(&self, age: Option<f64>, dt: f64) -> Option<(f64, f64)> {
         let share = match (age, self.weight) {
             (None, _) => 1.0,
             (Some(age), Weight::TimeConstant { tau_s }) if dt > 0.0 && below(age, tau_s.into())? => {
                 dt / (age + dt)
             }
-            (Some(_), weight) => of_measurement(weight, dt),
+            (Some(_), weight) => measurement_weight(weight, dt),
         };
         Some((share, age.unwrap_or(0.0) + dt))
     }
 
-    /// `None` where a rounding decides.
+    /// Returns `None` where rounding decides the result.
     fn update(&mut self, now: &Sample) -> Option<()> {
         let dt = f64::from(now.dt_s);
         self.attitude = self.attitude * rotation(double(now.gyro) * dt);
@@ -113,9 +115,9 @@ impl OnAMatrix {
             let (share, age) = self.share(self.tilt_age, dt)?;
             self.tilt_age = Some(age);
             if sin > 0.0 {
-                // In the world: what was measured to be down goes towards the vertical.
-                let back = measured.cross(Vec3::Z) * (share * angle / sin);
-                self.attitude = rotation(back) * self.attitude;
+                // In world axes: the measured direction of down moves towards the vertical.
+                let correction = measured.cross(Vec3::Z) * (share * angle / sin);
+                self.attitude = rotation(correction) * self.attitude;
             }
         }
         self.mag_dt += dt;
@@ -136,7 +138,7 @@ impl OnAMatrix {
     }
 }
 
-/// The paper's filter, as [`PaperInDouble`], with all that may be missing.
+/// The filter of the paper, like [`PaperInDouble`], but with samples that lack some sensors.
 struct InAngles {
     weight: Weight,
     declination: f64,
@@ -151,7 +153,7 @@ impl InAngles {
         let [roll, pitch, yaw] = self.angles;
         let [p, q, r] = <[f64; 3]>::from(double(now.gyro));
         let ((sr, cr), (sp, cp)) = (roll.sin_cos(), pitch.sin_cos());
-        // Near the vertical the angles themselves amplify what is lost by rounding.
+        // Near the vertical the angles themselves amplify rounding errors.
         if cp.abs() < 0.1 {
             return None;
         }
@@ -167,20 +169,20 @@ impl InAngles {
             if fy.hypot(fz) < 0.05 {
                 return None;
             }
-            let share = if self.started.0 { of_measurement(self.weight, dt) } else { 1.0 };
+            let share = if self.started.0 { measurement_weight(self.weight, dt) } else { 1.0 };
             self.started.0 = true;
             self.angles[0] = blend(self.angles[0], (-fy).atan2(-fz), share)?;
             self.angles[1] = blend(self.angles[1], fx.atan2(fy.hypot(fz)), share)?;
         }
         self.mag_dt += dt;
         if let Some(mag) = now.mag {
-            // Rotated level: by roll about x, then by pitch about y.
+            // Rotated to level: by roll about x, then by pitch about y.
             let [roll, pitch, yaw] = self.angles;
             let about_x = rotation(vec3(roll, 0.0, 0.0));
             let about_y = rotation(vec3(0.0, pitch, 0.0));
             let level = about_y * (about_x * double(mag));
             if !below(level.x.hypot(level.y), 1.0)? {
-                let share = if self.started.1 { of_measurement(self.weight, self.mag_dt) } else { 1.0 };
+                let share = if self.started.1 { measurement_weight(self.weight, self.mag_dt) } else { 1.0 };
                 self.started.1 = true;
                 self.mag_dt = 0.0;
                 self.angles[2] = blend(yaw, (-level.y).atan2(level.x) + self.declination, share)?;
@@ -190,7 +192,7 @@ impl InAngles {
     }
 }
 
-/// The filters, and the two that no preset has.
+/// Parameters of all methods, also of the two combinations that no preset has.
 fn every_method() -> impl Strategy<Value = EstimatorParams> {
     let kinematics = prop::sample::select(&[Kinematics::Euler, Kinematics::Quaternion][..]);
     let complementary =
@@ -203,12 +205,12 @@ fn every_method() -> impl Strategy<Value = EstimatorParams> {
 
 proptest! {
     #[test]
-    fn the_flight_filter_is_one_on_a_matrix_in_f64(
+    fn flight_equals_a_filter_on_a_matrix_in_f64(
         weight in weight(), declination_rad in -3.0..3.0_f32, samples in prop::collection::vec(sample(), 1..40),
     ) {
         let method = Method::Complementary { kinematics: Kinematics::Quaternion, weight };
         let mut ours = Estimator::new(&EstimatorParams { method, declination_rad }).unwrap();
-        let mut twin = OnAMatrix {
+        let mut second = OnAMatrix {
             weight,
             declination: declination_rad.into(),
             attitude: Mat3::IDENTITY,
@@ -218,23 +220,23 @@ proptest! {
         };
         for now in &samples {
             ours.update(now.gyro, now.accel, now.mag, now.dt_s);
-            if twin.update(now).is_none() {
+            if second.update(now).is_none() {
                 return Ok(());
             }
             let rows = ours.attitude().to_matrix().rows.map(double);
-            let off = rows.iter().zip(twin.attitude.rows).map(|(a, b)| (*a - b).norm()).fold(0.0, f64::max);
-            prop_assert!(off < 2e-4, "{} apart: {:?}", off, ours);
-            prop_assert_eq!(ours.started(), twin.tilt_age.is_some());
+            let off = rows.iter().zip(second.attitude.rows).map(|(a, b)| (*a - b).norm()).fold(0.0, f64::max);
+            prop_assert!(off < 2e-4, "difference {}: {:?}", off, ours);
+            prop_assert_eq!(ours.started(), second.tilt_age.is_some());
         }
     }
 
     #[test]
-    fn the_papers_filter_is_one_in_f64_whatever_is_missing(
+    fn paper_equals_a_filter_in_f64_with_any_gaps(
         weight in weight(), declination_rad in -3.0..3.0_f32, samples in prop::collection::vec(sample(), 1..40),
     ) {
         let method = Method::Complementary { kinematics: Kinematics::Euler, weight };
         let mut ours = Estimator::new(&EstimatorParams { method, declination_rad }).unwrap();
-        let mut twin = InAngles {
+        let mut second = InAngles {
             weight,
             declination: declination_rad.into(),
             angles: [0.0; 3],
@@ -243,21 +245,22 @@ proptest! {
         };
         for now in &samples {
             ours.update(now.gyro, now.accel, now.mag, now.dt_s);
-            if twin.update(now).is_none() {
+            if second.update(now).is_none() {
                 return Ok(());
             }
-            let Filters::Euler(filter) = ours.filter() else { unreachable!("the filter is in Euler angles") };
-            for (ours, exact) in filter.angles().into_iter().zip(twin.angles) {
+            let Filters::Euler(filter) = ours.filter() else { unreachable!("the filter uses Euler angles") };
+            for (ours, exact) in filter.angles().into_iter().zip(second.angles) {
                 prop_assert!(remainder(f64::from(ours) - exact).abs() < 5e-4, "{} {}", ours, exact);
                 prop_assert!(ours.abs() <= PI + 1e-6);
             }
-            prop_assert_eq!(ours.started(), twin.started.0);
+            prop_assert_eq!(ours.started(), second.started.0);
         }
     }
 
-    /// Of any filter in any attitude: tilt, heading and attitude say the same, and a first sample starts it.
+    /// For any filter and any attitude: tilt, heading and attitude are consistent, and the first sample starts the
+    /// filter.
     #[test]
-    fn tilt_heading_and_attitude_are_one(params in every_method(), samples in prop::collection::vec(sample(), 1..20)) {
+    fn tilt_heading_and_attitude_are_consistent(params in every_method(), samples in prop::collection::vec(sample(), 1..20)) {
         let mut e = Estimator::new(&params).unwrap();
         prop_assert!(!e.started());
         for now in &samples {
@@ -265,22 +268,23 @@ proptest! {
             let q = e.attitude();
             prop_assert!((e.down() - q.down()).norm() < 2e-5, "{:?}", e);
             let angles = q.to_euler();
-            // The paper's pitch may go over the vertical, and its yaw stays what it is.
+            // The pitch of the paper's filter may pass the vertical, and its yaw does not change then.
             let over = matches!(e.filter(), Filters::Euler(filter) if filter.angles()[1].abs() > 1.5);
             if angles.pitch.abs() < 1.5 && !over {
                 prop_assert!(wrap_pi(e.heading() - angles.yaw).abs() < 2e-5, "{:?}", e);
             }
             prop_assert!(e.heading().abs() <= PI + 1e-6);
-            prop_assert_eq!(e.is_a_low_pass(), matches!(params.method, Method::Robust(_)));
-            if !e.is_a_low_pass() {
+            prop_assert_eq!(e.is_low_pass(), matches!(params.method, Method::Robust(_)));
+            if !e.is_low_pass() {
                 prop_assert_eq!(e.gyro_bias(), Vec3::ZERO);
             }
         }
     }
 
-    /// Begun again, or with the news that there is no bias, a filter that learns none goes on as if nothing had been.
+    /// After a reset every filter equals a new one. `on_gyro_zeroed` has no effect on a filter that estimates no
+    /// bias.
     #[test]
-    fn begun_again_it_is_new(params in every_method(), samples in prop::collection::vec(sample(), 1..20)) {
+    fn reset_filter_equals_a_new_one(params in every_method(), samples in prop::collection::vec(sample(), 1..20)) {
         let [mut used, mut fresh] = [Estimator::new(&params).unwrap(); 2];
         for now in &samples {
             used.update(now.gyro, now.accel, now.mag, now.dt_s);
@@ -288,8 +292,8 @@ proptest! {
         used.restart();
         prop_assert!(!used.started() && used.gyro_bias() == Vec3::ZERO);
         for now in &samples {
-            if !used.is_a_low_pass() {
-                used.gyro_zeroed();
+            if !used.is_low_pass() {
+                used.on_gyro_zeroed();
             }
             used.update(now.gyro, now.accel, now.mag, now.dt_s);
             fresh.update(now.gyro, now.accel, now.mag, now.dt_s);
@@ -297,10 +301,10 @@ proptest! {
         }
     }
 
-    /// What counts as a sample: less than 1,000 rad, 10⁸ m/s² and µT, after the last one. Tumbling as no vehicle can,
-    /// every attitude on the way is one.
+    /// Valid samples: less than 1,000 rad, 10⁸ m/s² and µT, later than the last one. Even with motion that no vehicle
+    /// can perform, every intermediate attitude is valid.
     #[test]
-    fn every_sample_leaves_a_finite_attitude(
+    fn every_valid_sample_leaves_a_finite_attitude(
         params in every_method(),
         samples in prop::collection::vec((
             prop_oneof![about(8.0), about(500.0), Just(Vec3::ZERO), about(1e-30)],
@@ -322,14 +326,14 @@ proptest! {
     }
 
     #[test]
-    fn any_numbers_are_parameters_or_refused(
+    fn any_parameters_are_valid_or_rejected(
         a in prop_oneof![ANY, 0.0..2.0_f32, 0.0..2.0e4_f32],
         b in prop_oneof![ANY, 0.0..2000.0_f32],
         declination_rad in prop_oneof![ANY, -4.0..4.0_f32],
     ) {
-        let turns = (-PI..=PI).contains(&declination_rad);
+        let declination_valid = (-PI..=PI).contains(&declination_rad);
         let complementary = |weight| Method::Complementary { kinematics: Kinematics::Euler, weight };
-        for (method, good) in [
+        for (method, valid) in [
             (complementary(Weight::TimeConstant { tau_s: a }), (1.0e-3..=1.0e4).contains(&a)),
             (complementary(Weight::Fixed { alpha: a }), (0.0..=1.0).contains(&a)),
             (
@@ -337,13 +341,14 @@ proptest! {
                 (0.1..=100.0).contains(&a) && (0.1..=1.0e3).contains(&b),
             ),
         ] {
-            prop_assert_eq!(Estimator::new(&EstimatorParams { method, declination_rad }).is_ok(), good && turns);
+            prop_assert_eq!(Estimator::new(&EstimatorParams { method, declination_rad }).is_ok(), valid && declination_valid);
         }
     }
 
-    /// The zero is the plain mean of what was read since the vehicle lies still, each sample by the time it covers.
+    /// The zero is the plain mean of the readings since the vehicle came to rest, weighted by the time that each
+    /// sample covers.
     #[test]
-    fn the_gyroscopes_zero_is_the_mean_of_its_rest(
+    fn gyro_zero_is_the_mean_over_the_rest(
         bias in about(0.25), runs in prop::collection::vec((
             about(0.02), about(0.15),
             prop_oneof![6 => Just(Vec3::ZERO), 1 => about(0.5)],
@@ -404,9 +409,9 @@ proptest! {
         }
     }
 
-    /// Whatever comes, the bias is one that a gyroscope may have, and a vehicle that then lies still teaches it.
+    /// After any samples the bias is in its range, and a vehicle that then rests gives a new zero.
     #[test]
-    fn anything_leaves_a_zero_that_can_be_learnt_anew(
+    fn any_samples_leave_a_zero_that_can_be_relearnt(
         samples in prop::collection::vec((
             prop_oneof![about(0.3), [ANY, ANY, ANY].prop_map(Vec3::from)],
             prop_oneof![Just(LEVEL), [ANY, ANY, ANY].prop_map(Vec3::from)],
@@ -427,9 +432,9 @@ proptest! {
     }
 }
 
-/// An eighth of a second is exact, and so are eight of them.
+/// An eighth of a second is exact in f32, and so is the sum of eight.
 #[test]
-fn a_second_of_rest_is_enough() {
+fn one_second_of_rest_gives_a_zero() {
     let mut zero = GyroZero::default();
     for n in 1..=8 {
         zero.learn(vec3(0.1, 0.0, 0.0), LEVEL, 0.125);
@@ -437,9 +442,9 @@ fn a_second_of_rest_is_enough() {
     }
 }
 
-/// After ten seconds the mean forgets: of a step of the bias, (1 − Δt/10 s)ⁿ is left after n samples.
+/// After ten seconds the mean decays: of a step of the bias, (1 − Δt/10 s)ⁿ remains after n samples.
 #[test]
-fn a_long_rest_follows_a_drift() {
+fn long_rest_follows_a_drift() {
     let mut zero = GyroZero::default();
     for _ in 0..300 {
         zero.learn(vec3(0.1, 0.0, 0.0), LEVEL, 0.05);
@@ -452,10 +457,10 @@ fn a_long_rest_follows_a_drift() {
     }
 }
 
-/// What is measured to be exactly opposite has no shortest way: any level axis serves, for the whole share of the half
-/// turn.
+/// For exactly opposite directions the shortest rotation is not unique: any horizontal axis is correct, with the full
+/// share of the half turn.
 #[test]
-fn half_a_turn_wrong_is_turned_back_by_its_share() {
+fn opposite_direction_is_corrected_by_its_share() {
     let weight = Weight::Fixed { alpha: 0.75 };
     let params = EstimatorParams::complementary(Kinematics::Quaternion, weight);
     for down in [
@@ -468,7 +473,7 @@ fn half_a_turn_wrong_is_turned_back_by_its_share() {
     ] {
         for down in [Vec3::from(down), -Vec3::from(down)] {
             let mut e = Estimator::new(&params).unwrap();
-            // 1 m/s², so that what is not quite opposite by rounding is so by less than 1e-6.
+            // 1 m/s², so that rounding moves the directions by less than 1e-6 from exactly opposite.
             e.update(Vec3::ZERO, -down, None, 0.0);
             e.update(Vec3::ZERO, down, None, 0.01);
             let cos = e.down().dot(down);
@@ -478,22 +483,22 @@ fn half_a_turn_wrong_is_turned_back_by_its_share() {
     }
 }
 
-/// At a magnetic pole the first field sets no heading, and neither does the hundredth.
+/// At a magnetic pole the field does not set the heading, neither the first sample nor the hundredth.
 #[test]
-fn a_vertical_field_sets_no_heading() {
-    for (north, sets) in [(-0.99, false), (-1.01, true)] {
+fn vertical_field_sets_no_heading() {
+    for (north, sets_heading) in [(-0.99, false), (-1.01, true)] {
         for mut e in all() {
             for _ in 0..100 {
                 e.update(Vec3::ZERO, LEVEL, Some(vec3(north, 0.0, 48.0)), 0.01);
-                assert_eq!(e.heading().abs() > 3.0, sets, "{north} µT: {e:?}");
+                assert_eq!(e.heading().abs() > 3.0, sets_heading, "{north} µT: {e:?}");
             }
         }
     }
 }
 
-/// What falls freely shows no tilt to start from.
+/// In free fall there is no tilt to start from.
 #[test]
-fn free_fall_starts_nothing() {
+fn free_fall_does_not_start_a_filter() {
     for mut e in all() {
         for force in [Vec3::ZERO, vec3(0.0, 0.5, 0.0), vec3(1e-30, 0.0, 0.0)] {
             e.update(Vec3::ZERO, force, None, 0.01);
@@ -502,15 +507,15 @@ fn free_fall_starts_nothing() {
     }
 }
 
-/// 0.98 m/s² of a force to the side: a little less says nothing, and a little more does.
+/// The limit is a horizontal force of 0.98 m/s²: slightly less has no effect, slightly more has.
 #[test]
 fn free_fall_ends_at_a_tenth_of_g() {
-    for (force, says) in [(0.975, false), (0.985, true)] {
+    for (force, has_effect) in [(0.975, false), (0.985, true)] {
         for mut e in all() {
             e.update(Vec3::ZERO, LEVEL, None, 0.0);
             e.update(Vec3::ZERO, vec3(0.0, force, 0.0), None, 0.01);
             let tilt = (e.down() - Vec3::Z).norm();
-            assert_eq!(tilt > 1e-6, says, "{force}: {tilt} {e:?}");
+            assert_eq!(tilt > 1e-6, has_effect, "{force}: {tilt} {e:?}");
         }
     }
 }

@@ -1,27 +1,27 @@
-//! Faults of a sensor or its bus: from one moment to another, a sample is not what was converted.
+//! Faults of a sensor or its bus: for some time, the delivered samples differ from the converted ones.
 
 use super::{Delivery, Window};
 
-/// Where in a sample the counts of one sensor are.
+/// A function that selects the counts of one sensor in a sample.
 pub type Counts<T> = fn(&mut T) -> &mut [i16; 3];
 
-/// Nothing is delivered.
+/// A fault that delivers no sample.
 #[derive(Clone, Copy, Debug)]
 pub struct Dead(pub Window);
 
 impl<T> Delivery<T> for Dead {
     fn pass(&mut self, sample: &mut Option<T>) {
-        // Asked at every step, whether or not it brings something: that is what counts the steps.
+        // This call counts the steps, so it runs at every step, with or without a sample.
         if self.0.next_is_inside() {
             *sample = None;
         }
     }
 }
 
-/// Every sample is this one: the chip's code for invalid data.
+/// A fault that replaces every sample by the chip's code for invalid data.
 #[derive(Clone, Copy, Debug)]
 pub struct InvalidCode<T> {
-    /// When.
+    /// The steps in which the fault acts.
     pub window: Window,
     /// The sample with 0x8000 on all axes.
     pub sample: T,
@@ -37,16 +37,16 @@ impl<T: Copy + Send> Delivery<T> for InvalidCode<T> {
     }
 }
 
-/// One axis keeps the count that it had when the fault began.
+/// A fault in which one axis keeps the count that it had when the fault began.
 #[derive(Clone, Copy, Debug)]
 pub struct StuckAxis<T> {
-    /// When.
+    /// The steps in which the fault acts.
     pub window: Window,
-    /// The sensor.
+    /// The sensor whose counts are affected.
     pub counts: Counts<T>,
-    /// 0 for x, 1 for y, 2 for z.
+    /// The axis: 0 for x, 1 for y, 2 for z.
     pub axis: usize,
-    /// The count, once the fault has begun.
+    /// The count that is held; `None` before the fault begins.
     pub held: Option<i16>,
 }
 
@@ -61,16 +61,16 @@ impl<T: Send> Delivery<T> for StuckAxis<T> {
     }
 }
 
-/// One axis reads so many counts more, to the end of the 16 bits at most.
+/// A fault that adds a constant to one axis. The sum saturates at 16 bits.
 #[derive(Clone, Copy, Debug)]
 pub struct Spike<T> {
-    /// When.
+    /// The steps in which the fault acts.
     pub window: Window,
-    /// The sensor.
+    /// The sensor whose counts are affected.
     pub counts: Counts<T>,
-    /// 0 for x, 1 for y, 2 for z.
+    /// The axis: 0 for x, 1 for y, 2 for z.
     pub axis: usize,
-    /// Counts more.
+    /// Counts to add.
     pub by: i16,
 }
 
@@ -85,12 +85,12 @@ impl<T: Send> Delivery<T> for Spike<T> {
     }
 }
 
-/// The last sample before the fault comes again and again, as from a buffer that nobody fills.
+/// A fault that repeats the last sample before it, like a buffer that is no longer filled.
 #[derive(Clone, Copy, Debug)]
 pub struct RepeatedSample<T> {
-    /// When.
+    /// The steps in which the fault acts.
     pub window: Window,
-    /// The last sample that came.
+    /// The last sample before the fault.
     pub last: Option<T>,
 }
 
@@ -115,7 +115,7 @@ mod tests {
         ImuSample { gyro: [k, 100 + k, 200 + k], accel: [-k, -100 - k, -200 - k] }
     }
 
-    /// Runs twenty samples through a fault from step 5 to 9 and gives back those that differ.
+    /// Passes twenty samples through a fault that lasts from step 5 to 9. Returns the steps whose output differs.
     fn changed(mut fault: impl Delivery<ImuSample>) -> Vec<(i16, Option<ImuSample>)> {
         (0..20)
             .map(|k| (k, fault.step(Some(sample(k)))))
@@ -128,36 +128,36 @@ mod tests {
     }
 
     #[test]
-    fn a_dead_sensor_delivers_nothing() {
+    fn dead_sensor_delivers_nothing() {
         assert_eq!(changed(Dead(window())), [5, 6, 7, 8, 9].map(|k| (k, None)));
     }
 
     #[test]
-    fn time_passes_where_nothing_comes() {
-        // Something every second step, from 0 on; dead from step 5 to 9.
+    fn steps_without_a_sample_count() {
+        // A sample at every second step, from 0 on; dead from step 5 to 9.
         let mut dead = Dead(window());
         let came = (0..20).filter(|k| dead.step((k % 2 == 0).then_some(*k)).is_some());
         assert_eq!(came.collect::<Vec<_>>(), [0, 2, 4, 10, 12, 14, 16, 18]);
     }
 
     #[test]
-    fn the_invalid_code_is_on_all_axes() {
+    fn invalid_code_is_on_all_axes() {
         let invalid = ImuSample { gyro: [i16::MIN; 3], accel: [i16::MIN; 3] };
         let fault = InvalidCode { window: window(), sample: invalid };
         assert_eq!(changed(fault), [5, 6, 7, 8, 9].map(|k| (k, Some(invalid))));
     }
 
     #[test]
-    fn a_stuck_axis_keeps_its_first_count() {
+    fn stuck_axis_keeps_its_first_count() {
         let fault =
             StuckAxis { window: window(), counts: |s: &mut ImuSample| &mut s.gyro, axis: 1, held: None };
-        // At step 5 it still reads right.
+        // At step 5 the held count is still the true one.
         let stuck = |k: i16| ImuSample { gyro: [k, 105, 200 + k], ..sample(k) };
         assert_eq!(changed(fault), [6, 7, 8, 9].map(|k| (k, Some(stuck(k)))));
     }
 
     #[test]
-    fn a_spike_adds_its_counts_and_saturates() {
+    fn spike_adds_its_counts_and_saturates() {
         let spike = |by| Spike { window: window(), counts: |s: &mut ImuSample| &mut s.accel, axis: 2, by };
         let raised = |k: i16| ImuSample { accel: [-k, -100 - k, 800 - k], ..sample(k) };
         assert_eq!(changed(spike(1000)), [5, 6, 7, 8, 9].map(|k| (k, Some(raised(k)))));
@@ -165,7 +165,7 @@ mod tests {
     }
 
     #[test]
-    fn the_last_good_sample_repeats() {
+    fn last_good_sample_repeats() {
         let fault = RepeatedSample { window: window(), last: None };
         assert_eq!(changed(fault), [5, 6, 7, 8, 9].map(|k| (k, Some(sample(4)))));
     }

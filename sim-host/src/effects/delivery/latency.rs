@@ -1,14 +1,14 @@
-//! Latency: what comes at t goes on at t + τ, in the same order.
+//! Latency: what enters at t leaves at t + τ, in the same order.
 //!
-//! τ is rounded to whole steps of the stream: in flight 1 ms for the inertial samples and the link, and for
-//! the magnetometer, whose stream has a step for each of its samples, 10 ms.
+//! τ is rounded to whole steps of the stream. In flight a step is 1 ms for the inertial samples and the link. The
+//! magnetometer's stream has one step for each of its samples, so there a step is 10 ms.
 
 use std::marker::PhantomData;
 
 use serde::Deserialize;
 
 use super::{BoxedDelivery, Delivery};
-use crate::effects::{Build, Recipe};
+use crate::effects::{BuildContext, EffectParams};
 use input::InputError;
 use input::check;
 
@@ -22,32 +22,32 @@ pub struct Latency<T> {
     of: PhantomData<T>,
 }
 
-impl<T: Send + 'static> Recipe for Latency<T> {
+impl<T: Send + 'static> EffectParams for Latency<T> {
     type Effect = BoxedDelivery<T>;
 
     fn validate(&self, key: &str) -> Result<(), InputError> {
         check::key_in_range(key, "latency_s", self.latency_s, 0.0, 10.0, "s")
     }
 
-    fn build(&self, with: &Build) -> BoxedDelivery<T> {
-        let steps = libm::round(self.latency_s * with.rate_hz) as usize;
-        Box::new(Ring { under_way: (0..steps).map(|_| None).collect(), next: 0 })
+    fn build(&self, context: &BuildContext) -> BoxedDelivery<T> {
+        let steps = libm::round(self.latency_s * context.rate_hz) as usize;
+        Box::new(DelayLine { in_transit: (0..steps).map(|_| None).collect(), next: 0 })
     }
 }
 
-struct Ring<T> {
-    /// What came in the last steps, as many as the latency is long.
-    under_way: Box<[Option<T>]>,
-    /// Where the oldest is, and the newest goes.
+struct DelayLine<T> {
+    /// The inputs of the last steps: a ring, as long as the latency.
+    in_transit: Box<[Option<T>]>,
+    /// Index of the oldest input, which the newest replaces.
     next: usize,
 }
 
-impl<T: Send> Delivery<T> for Ring<T> {
+impl<T: Send> Delivery<T> for DelayLine<T> {
     fn pass(&mut self, sample: &mut Option<T>) {
-        // Without a place there is no latency.
-        if let Some(oldest) = self.under_way.get_mut(self.next) {
+        // A ring of length 0 means no latency.
+        if let Some(oldest) = self.in_transit.get_mut(self.next) {
             std::mem::swap(sample, oldest);
-            self.next = if self.next + 1 == self.under_way.len() { 0 } else { self.next + 1 };
+            self.next = if self.next + 1 == self.in_transit.len() { 0 } else { self.next + 1 };
         }
     }
 }
@@ -62,11 +62,11 @@ mod tests {
     }
 
     #[test]
-    fn everything_comes_exactly_so_much_later() {
+    fn samples_are_delayed_by_the_latency() {
         for (latency_s, steps) in [(0.0, 0), (0.003, 3), (0.025, 25)] {
             let mut effect = latency(latency_s);
             for k in 0..200_u32 {
-                // Every fourth step brings something, as a slower sensor does.
+                // A sample at every fourth step, like a slower sensor.
                 let sent = (k % 4 == 0).then_some(k);
                 let wanted = k.checked_sub(steps).filter(|sent| sent % 4 == 0);
                 assert_eq!(effect.step(sent), wanted, "step {k} at {latency_s} s");

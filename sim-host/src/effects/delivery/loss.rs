@@ -1,12 +1,12 @@
-//! Random loss: each sample is lost with probability p, whatever became of the others. The lengths of the
-//! gaps are geometrically distributed: n or more in a row with p^n.
+//! Random loss: each sample is lost with probability p, independently of the others. The lengths of the gaps are
+//! geometrically distributed: n or more samples in a row are lost with probability p^n.
 
 use std::marker::PhantomData;
 
 use serde::Deserialize;
 
 use super::{BoxedDelivery, Delivery};
-use crate::effects::{Build, Recipe};
+use crate::effects::{BuildContext, EffectParams};
 use input::InputError;
 use input::check;
 use random::UniformStream;
@@ -15,33 +15,33 @@ use random::UniformStream;
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Loss<T> {
-    /// p, 0 to 1.
+    /// Probability p that a sample is lost, 0 to 1.
     pub probability: f64,
     #[serde(skip)]
     of: PhantomData<T>,
 }
 
-impl<T: Send + 'static> Recipe for Loss<T> {
+impl<T: Send + 'static> EffectParams for Loss<T> {
     type Effect = BoxedDelivery<T>;
 
     fn validate(&self, key: &str) -> Result<(), InputError> {
-        check::key_in_range(key, "probability", self.probability, 0.0, 1.0, "of 1")
+        check::key_in_range(key, "probability", self.probability, 0.0, 1.0, "(a probability)")
     }
 
-    fn build(&self, with: &Build) -> BoxedDelivery<T> {
-        let stream = UniformStream::new(with.seed, with.name, 0);
-        Box::new(Gaps { probability: self.probability, stream })
+    fn build(&self, context: &BuildContext) -> BoxedDelivery<T> {
+        let stream = UniformStream::new(context.seed, context.name, 0);
+        Box::new(RandomLoss { probability: self.probability, stream })
     }
 }
 
-struct Gaps {
+struct RandomLoss {
     probability: f64,
     stream: UniformStream,
 }
 
-impl<T> Delivery<T> for Gaps {
+impl<T> Delivery<T> for RandomLoss {
     fn pass(&mut self, sample: &mut Option<T>) {
-        // The draw is in (0, 1]: with p = 0 nothing is lost, with p = 1 everything.
+        // The draw is in (0, 1]: p = 0 loses no sample, p = 1 loses every sample.
         if sample.is_some() && self.stream.draw() <= self.probability {
             *sample = None;
         }
@@ -58,7 +58,7 @@ mod tests {
     }
 
     #[test]
-    fn so_many_are_lost_and_gaps_are_geometric() {
+    fn loss_has_its_probability_and_geometric_gaps() {
         let (p, n) = (0.1, 1_000_000);
         let mut effect = loss("imu.dropped_samples", p, 1);
         let lost: Vec<bool> = (0..n).map(|k| effect.step(Some(k)).is_none()).collect();
@@ -72,12 +72,12 @@ mod tests {
     }
 
     #[test]
-    fn none_all_and_nothing_to_lose() {
+    fn loss_of_none_of_all_and_without_samples() {
         let (mut none, mut all) = (loss("a", 0.0, 1), loss("a", 1.0, 1));
         for k in 0..10_000 {
             assert_eq!((none.step(Some(k)), all.step(Some(k))), (Some(k), None));
         }
-        // A step that brings nothing takes no draw: the samples after it fare as they would have.
+        // A step without a sample takes no draw, so it does not change what happens to later samples.
         let (mut dense, mut sparse) = (loss("a", 0.5, 1), loss("a", 0.5, 1));
         for k in 0..100 {
             assert_eq!(sparse.step(None), None);

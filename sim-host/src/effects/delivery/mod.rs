@@ -1,9 +1,10 @@
-//! What happens to samples on their way from the converter to the flight controller, and to the frames of the
-//! transmitter: they come late, or not at all, or wrong. One file each.
+//! Effects on samples between the converter and the flight controller, and on the frames of the transmitter: they
+//! arrive late, get lost, or arrive wrong. One file for each effect.
 //!
-//! An effect sees the stream at every step: `Some` when a sample comes, `None` when none does. It is written
-//! once for inertial samples, magnetometer samples and receiver frames. The inertial samples and the link are
-//! stepped with the simulation, the magnetometer's stream with its own samples.
+//! An effect is called at every step of its stream: with `Some` when there is a sample, with `None` when there is
+//! none. Each effect is written once for inertial samples, magnetometer samples and receiver frames. The streams
+//! of inertial samples and of the link step with the simulation; the magnetometer's stream has one step for each
+//! of its samples.
 
 mod faults;
 mod latency;
@@ -23,13 +24,13 @@ use flight_core::sample::{ImuSample, MagSample};
 
 use super::BoxedSensorEffect;
 
-/// Acts on a stream of samples of type `T`.
+/// An effect on a stream of samples of type `T`.
 pub trait Delivery<T>: Send {
-    /// Makes of what comes at this step what goes on. Called once a step of the stream. In place: most of the
-    /// time an effect leaves a sample alone, and then it is not moved either.
+    /// Passes the optional sample of one step through the effect. Called once for each step of the stream. It works
+    /// in place, because most samples pass unchanged and then need not be moved.
     fn pass(&mut self, sample: &mut Option<T>);
 
-    /// The same by value.
+    /// Does the same by value.
     fn step(&mut self, mut sample: Option<T>) -> Option<T> {
         self.pass(&mut sample);
         sample
@@ -39,7 +40,7 @@ pub trait Delivery<T>: Send {
 /// A boxed [`Delivery`].
 pub type BoxedDelivery<T> = Box<dyn Delivery<T>>;
 
-/// An effect on the magnetometer, as built.
+/// An effect on the magnetometer, after it is built.
 pub enum MagEffect {
     /// On the reading, before the converter.
     Reading(BoxedSensorEffect),
@@ -59,9 +60,9 @@ impl From<BoxedDelivery<MagSample>> for MagEffect {
     }
 }
 
-/// An effect on the inertial samples, as built.
+/// An effect on the inertial samples, after it is built.
 pub enum ImuEffect {
-    /// On the time at which the truth is sampled.
+    /// On the time at which the sensors sample the truth.
     Sampling(Jitter),
     /// On the samples.
     Delivery(BoxedDelivery<ImuSample>),

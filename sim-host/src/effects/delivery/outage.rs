@@ -1,10 +1,10 @@
-//! The radio link breaks off for a while: no frame arrives.
+//! Outage of the radio link: for some time, no frame arrives.
 
 use flight_core::sample::RcFrame;
 use serde::Deserialize;
 
 use super::{BoxedDelivery, Dead, Window};
-use crate::effects::{Build, Recipe};
+use crate::effects::{BuildContext, EffectParams};
 use input::InputError;
 use input::check;
 
@@ -12,13 +12,13 @@ use input::check;
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Outage {
-    /// The first moment at which nothing arrives, s.
+    /// Start of the outage, s.
     pub at_s: f64,
-    /// For how long, s; without it for good.
+    /// Duration, s; without it the outage never ends.
     pub for_s: Option<f64>,
 }
 
-impl Recipe for Outage {
+impl EffectParams for Outage {
     type Effect = BoxedDelivery<RcFrame>;
 
     fn validate(&self, key: &str) -> Result<(), InputError> {
@@ -26,7 +26,7 @@ impl Recipe for Outage {
         self.for_s.map_or(Ok(()), |for_s| check::key_in_range(key, "for_s", for_s, 1e-3, 1e6, "s"))
     }
 
-    fn build(&self, with: &Build) -> BoxedDelivery<RcFrame> {
-        Box::new(Dead(Window::new(self.at_s, self.for_s, with.rate_hz)))
+    fn build(&self, context: &BuildContext) -> BoxedDelivery<RcFrame> {
+        Box::new(Dead(Window::new(self.at_s, self.for_s, context.rate_hz)))
     }
 }

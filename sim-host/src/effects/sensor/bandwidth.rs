@@ -1,16 +1,16 @@
-//! The chip's own bandwidth: a 2nd-order Butterworth low-pass.
+//! Bandwidth of the sensor chip: a 2nd-order Butterworth low-pass.
 //!
-//! H(s) = ω_c²/(s² + √2 ω_c s + ω_c²), the −3 dB point at f_c, by the bilinear transform with prewarping
+//! H(s) = ω_c²/(s² + √2 ω_c s + ω_c²) with the −3 dB point at f_c, by the bilinear transform with prewarping
 //! (Oppenheim and Schafer, *Discrete-Time Signal Processing*, 7.1): with K = tan(π f_c/f_s) and
 //! D = 1 + √2 K + K², b = (K², 2K², K²)/D and a = (2(K² − 1), 1 − √2 K + K²)/D.
 //!
-//! It acts on what is sampled, so a vibration above half the rate passes at the frequency of its alias. As f_c
-//! nears half the rate, H tends to 1; from there on nothing is filtered.
+//! The filter acts on the samples, so a vibration above half the sample rate passes at the frequency of its alias. As
+//! f_c approaches half the rate, H tends to 1. From half the rate on there is no filter.
 
 use flight_core::geometry::Vec3;
 use serde::Deserialize;
 
-use crate::effects::{BoxedSensorEffect, Build, Recipe, SensorEffect, Snapshot};
+use crate::effects::{BoxedSensorEffect, BuildContext, EffectParams, SensorEffect, Snapshot};
 use input::InputError;
 use input::check;
 
@@ -18,28 +18,28 @@ use input::check;
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Bandwidth {
-    /// f_c, Hz.
+    /// Cutoff frequency f_c, Hz.
     pub cutoff_hz: f64,
 }
 
-impl Recipe for Bandwidth {
+impl EffectParams for Bandwidth {
     type Effect = BoxedSensorEffect;
 
     fn validate(&self, key: &str) -> Result<(), InputError> {
         check::key_in_range(key, "cutoff_hz", self.cutoff_hz, 0.1, 1e5, "Hz")
     }
 
-    fn build(&self, with: &Build) -> BoxedSensorEffect {
-        Box::new(LowPass::new(self.cutoff_hz, with.rate_hz))
+    fn build(&self, context: &BuildContext) -> BoxedSensorEffect {
+        Box::new(LowPass::new(self.cutoff_hz, context.rate_hz))
     }
 }
 
-/// Direct form II transposed. The numerator is b₀ (1 + z⁻¹)².
+/// A low-pass filter in direct form II transposed. The numerator is b₀ (1 + z⁻¹)².
 struct LowPass {
     b0: f64,
     a1: f64,
     a2: f64,
-    /// `None` before the first sample.
+    /// Filter states; `None` before the first sample.
     states: Option<[Vec3<f64>; 2]>,
 }
 
@@ -59,7 +59,7 @@ impl SensorEffect for LowPass {
     #[inline]
     fn apply_to(&mut self, reading: &mut Vec3<f64>, _: &Snapshot) {
         let fed = *reading * self.b0;
-        // At the start, the states of an input that was always there: no transient.
+        // Start in the steady state for the first reading, so that there is no transient.
         let [s1, s2] = self.states.unwrap_or_else(|| [*reading - fed, fed - *reading * self.a2]);
         let read = fed + s1;
         self.states = Some([fed * 2.0 - read * self.a1 + s2, fed - read * self.a2]);
@@ -73,7 +73,7 @@ mod tests {
     use crate::effects::sensor::testing::{at_rest, build};
     use flight_core::geometry::vec3;
 
-    /// Gain for a sine of this frequency, from the quadrature sums of whole periods after the transient.
+    /// Returns the gain for a sine of this frequency, from quadrature sums over whole periods after the transient.
     fn gain(cutoff_hz: f64, frequency_hz: f64, rate_hz: f64) -> f64 {
         let mut effect = build(&Bandwidth { cutoff_hz }, rate_hz);
         let (mut real, mut imaginary) = (0.0, 0.0);
@@ -91,7 +91,7 @@ mod tests {
     }
 
     #[test]
-    fn passes_what_a_butterworth_filter_passes() {
+    fn bandwidth_has_the_gain_of_a_butterworth_filter() {
         for (cutoff_hz, rate_hz) in [(100.0, 1000.0), (30.0, 1000.0), (20.0, 100.0)] {
             for ratio in [0.2, 1.0, 2.0] {
                 let frequency_hz = ratio * cutoff_hz;
@@ -105,7 +105,7 @@ mod tests {
     }
 
     #[test]
-    fn a_constant_passes_from_the_first_sample() {
+    fn constant_input_passes_from_the_first_sample() {
         for cutoff_hz in [5.0, 499.0, 2000.0] {
             let mut effect = build(&Bandwidth { cutoff_hz }, 1000.0);
             let truth = vec3(1.0, -2.0, 9.81);
@@ -118,7 +118,7 @@ mod tests {
     }
 
     #[test]
-    fn above_half_the_rate_nothing_is_filtered() {
+    fn cutoff_above_half_the_rate_filters_nothing() {
         for cutoff_hz in [50.0, 1e4] {
             for frequency_hz in [5.0, 45.0] {
                 assert!((gain(cutoff_hz, frequency_hz, 100.0) - 1.0).abs() < 1e-9);

@@ -1,10 +1,10 @@
-//! Bias instability: 1/f flicker of the bias, from the length of the run to half the rate.
+//! Bias instability: 1/f (flicker) noise of the bias, from 1/(length of the run) to half the sample rate.
 //!
-//! S(f) = B²/(2π f), two-sided as N² is. The Allan deviation is flat at √(2 ln 2/π) B = 0.664 B (IEEE Std
-//! 952-1997, C.1.3): **B is the plateau divided by 0.664**. A single Gauss-Markov process, the usual stand-in,
-//! has a bump of one width instead.
+//! S(f) = B²/(2π f), two-sided like N². The Allan deviation is flat at √(2 ln 2/π) B = 0.664 B (IEEE Std
+//! 952-1997, C.1.3): **B is the plateau divided by 0.664**. The usual approximation, a single Gauss-Markov process,
+//! has a peak of fixed width instead of a plateau.
 //!
-//! # How
+//! # Method
 //! Flicker is the sum of first-order processes (poles) with equal variances at corners evenly spaced on a
 //! logarithmic scale (Keshner, *1/f noise*, Proc. IEEE 70, 1982). Process i has the variance σ² and
 //! S_i(f) = 2 σ² a_i/(a_i² + ω²), a_i = 2π f_i; for a ratio r of neighbouring corners the sum is
@@ -15,24 +15,24 @@
 //!
 //! with a ripple of 2 sech(π²/ln r): 0.3 % for r = 4.
 //!
-//! A slow pole need not be drawn at every sample. Pole j = 1, 2 … has its corner at f_s/(32 · 4ʲ) and moves
-//! every 4ʲ samples, exactly: x ← φ x + √(1 − φ²) σ w, the same φ = e^(−2π/32) for all of them. Held in
-//! between, it lacks what it would have at multiples of its own rate, where it is 3 % of the whole. Each moves
-//! at samples of its own: n = 2 · 4^(j−1) mod 4ʲ, which is when n has 2j − 1 trailing zero bits. So at most one
-//! slow pole moves at a sample, and any number of them costs a third of a draw.
+//! A slow pole does not need a draw at every sample. Pole j = 1, 2 … has its corner at f_s/(32 · 4ʲ) and is updated
+//! every 4ʲ samples, exactly: x ← φ x + √(1 − φ²) σ w, with the same φ = e^(−2π/32) for all slow poles. Between
+//! updates it is held. So it lacks power at multiples of its own update rate, where it is 3 % of the sum. Each slow
+//! pole is updated at samples n = 2 · 4^(j−1) mod 4ʲ, that is, when n has 2j − 1 trailing zero bits. So at most one
+//! slow pole is updated at a sample, and any number of them costs a third of a draw per sample.
 //!
-//! The rest, from f_s/128 up, is left to two fast poles that share one draw a sample: y = x₁ + x₂,
+//! Two fast poles, which share one draw per sample, make the rest of the spectrum, from f_s/128 up: y = x₁ + x₂,
 //! xᵢ ← φᵢ xᵢ + gᵢ w, with φ and g fitted (least squares of ln S on a logarithmic scale of frequency, up to
-//! f_s/2). The spectrum of all together, computed from the formulas, is within −3.7 … +0.6 % of B²/(2π f) below
-//! f_s/50 and −6.9 … +1.8 % below f_s/4, and 12 % above it at f_s/2, where the spectrum of any sampled process
-//! is level. The slowest corner is at most 1/8 of 1/duration, so at f = 1/duration no more than
+//! f_s/2). The spectrum of the sum, computed from the formulas, is within −3.7 … +0.6 % of B²/(2π f) below
+//! f_s/50 and within −6.9 … +1.8 % below f_s/4. It is 12 % too high at f_s/2, where the spectrum of any sampled
+//! process is level. The slowest corner is at most 1/8 of 1/duration, so at f = 1/duration at most
 //! (2/π)(1/16) = 4 % is missing.
 
 use flight_core::geometry::Vec3;
 use serde::Deserialize;
 
 use super::DEG;
-use crate::effects::{BoxedSensorEffect, Build, Recipe, SensorEffect, Snapshot};
+use crate::effects::{BoxedSensorEffect, BuildContext, EffectParams, SensorEffect, Snapshot};
 use input::InputError;
 use input::check;
 use random::NormalStreams;
@@ -53,42 +53,42 @@ pub struct AccelBiasInstability {
     pub b_m_s2: [f64; 3],
 }
 
-impl Recipe for GyroBiasInstability {
+impl EffectParams for GyroBiasInstability {
     type Effect = BoxedSensorEffect;
 
     fn validate(&self, key: &str) -> Result<(), InputError> {
         check::keys_in_range(key, "b_deg_per_h", self.b_deg_per_h, 0.0, 1e6, "deg/h")
     }
 
-    fn build(&self, with: &Build) -> BoxedSensorEffect {
-        Box::new(Flicker::new(self.b_deg_per_h.map(|b| b * DEG / 3600.0).into(), with))
+    fn build(&self, context: &BuildContext) -> BoxedSensorEffect {
+        Box::new(Flicker::new(self.b_deg_per_h.map(|b| b * DEG / 3600.0).into(), context))
     }
 }
 
-impl Recipe for AccelBiasInstability {
+impl EffectParams for AccelBiasInstability {
     type Effect = BoxedSensorEffect;
 
     fn validate(&self, key: &str) -> Result<(), InputError> {
         check::keys_in_range(key, "b_m_s2", self.b_m_s2, 0.0, 10.0, "m/s²")
     }
 
-    fn build(&self, with: &Build) -> BoxedSensorEffect {
-        Box::new(Flicker::new(self.b_m_s2.into(), with))
+    fn build(&self, context: &BuildContext) -> BoxedSensorEffect {
+        Box::new(Flicker::new(self.b_m_s2.into(), context))
     }
 }
 
-/// Corner of a slow pole beside the rate at which it moves.
+/// Corner frequency of a slow pole, divided by its update rate.
 const CORNER: f64 = 1.0 / 32.0;
 /// φ₁ and φ₂ of the fast poles.
 const FAST_DECAYS: [f64; 2] = [0.818_286_74, 0.351_263_23];
 /// g₁ and g₂, in units of B.
 const FAST_GAINS: [f64; 2] = [0.277_899_44, 0.597_719_82];
 
-/// Flicker noise. The poles are in units of B.
+/// Generator of flicker noise. The poles are in units of B.
 struct Flicker {
     b: Vec3<f64>,
     fast: [Vec3<f64>; 2],
-    /// Pole j at j − 1.
+    /// Slow poles: pole j is at index j − 1.
     slow: Box<[Vec3<f64>]>,
     slow_sum: Vec3<f64>,
     slow_decay: f64,
@@ -98,9 +98,10 @@ struct Flicker {
 }
 
 impl Flicker {
-    fn new(b: Vec3<f64>, with: &Build) -> Self {
-        // Streams of their own for the start: a longer run has one more slow pole and else the same noise.
-        let mut starts = NormalStreams::new(with.seed, &format!("{}.start", with.name));
+    fn new(b: Vec3<f64>, context: &BuildContext) -> Self {
+        // The initial values have separate streams, so a longer run has additional slow poles but otherwise the same
+        // noise.
+        let mut starts = NormalStreams::new(context.seed, &format!("{}.start", context.name));
 
         // The fast poles share their draws, so they are correlated: ⟨xᵢ xⱼ⟩ = gᵢ gⱼ/(1 − φᵢ φⱼ).
         let covariance =
@@ -114,8 +115,8 @@ impl Flicker {
         let variance = 2.0 * std::f64::consts::LN_2 / std::f64::consts::PI;
         let slow_decay = libm::exp(-std::f64::consts::TAU * CORNER);
         let mut slow = Vec::new();
-        let mut corner_hz = CORNER * with.rate_hz;
-        while corner_hz * with.duration_s > 0.125 {
+        let mut corner_hz = CORNER * context.rate_hz;
+        while corner_hz * context.duration_s > 0.125 {
             corner_hz *= 0.25;
             slow.push(starts.draw() * libm::sqrt(variance));
         }
@@ -127,7 +128,7 @@ impl Flicker {
             slow_decay,
             slow_gain: libm::sqrt(variance * (1.0 - slow_decay * slow_decay)),
             samples: 0,
-            streams: NormalStreams::new(with.seed, with.name),
+            streams: NormalStreams::new(context.seed, context.name),
         }
     }
 }
@@ -141,7 +142,7 @@ impl SensorEffect for Flicker {
             && let Some(x) = self.slow.get_mut((zeros / 2) as usize)
         {
             let moved = *x * self.slow_decay + self.streams.draw() * self.slow_gain;
-            // The sum gathers a rounding of 10⁻¹⁶ B a move: 10⁻¹² B in 10⁸ of them.
+            // Each update adds a rounding error of 10⁻¹⁶ B to the sum: 10⁻¹² B after 10⁸ updates, as a random walk.
             self.slow_sum += moved - *x;
             *x = moved;
         }
@@ -159,12 +160,12 @@ mod tests {
     use crate::effects::sensor::testing::{at_rest, build_seeded};
     use std::f64::consts::TAU;
 
-    /// Samples of x, y and z at 1 Hz for 3600 s, B = 1, in one list each.
+    /// Returns samples of x, y and z at 1 Hz for 3600 s with B = 1: one list for each axis of each run.
     fn runs(count: u64) -> Vec<Vec<f64>> {
-        let recipe = AccelBiasInstability { b_m_s2: [1.0; 3] };
+        let params = AccelBiasInstability { b_m_s2: [1.0; 3] };
         let mut axes = Vec::new();
         for seed in 0..count {
-            let mut effect = build_seeded(&recipe, 1.0, seed);
+            let mut effect = build_seeded(&params, 1.0, seed);
             let mut run = vec![Vec::new(); 3];
             at_rest(|at| {
                 for _ in 0..3600 {
@@ -177,9 +178,9 @@ mod tests {
         axes
     }
 
-    /// Σ sin⁴(u)/u³ du over (0, ∞) is ln 2, with S = B²/(2π f): the plateau is √(2 ln 2/π).
+    /// With S = B²/(2π f), ∫ sin⁴(u)/u³ du over (0, ∞) = ln 2, so the plateau is √(2 ln 2/π).
     #[test]
-    fn the_allan_deviation_is_level_at_0_664_b() {
+    fn bias_instability_allan_deviation_is_0_664_b() {
         let axes = runs(400);
         for length in [4, 10, 30, 100, 300] {
             let (mut sum, mut count) = (0.0, 0.0);
@@ -193,14 +194,14 @@ mod tests {
             }
             let deviation = f64::sqrt(sum / count);
             println!("{length} samples: {deviation:.4}");
-            // 1,200 runs of 11 and more pairs: 1 % at 300 samples, and the ripple of the spectrum.
+            // 1,200 lists of at least 11 pairs: 1 % at 300 samples, plus the ripple of the spectrum.
             assert!((deviation / 0.6643 - 1.0).abs() < 0.035, "{length} samples: {deviation}");
         }
     }
 
-    /// Sums with Hann's window, whose lobes reach two frequencies to either side.
+    /// Fourier sums with a Hann window, whose main lobe reaches two frequencies to either side.
     #[test]
-    fn the_spectrum_is_b_squared_over_2_pi_f() {
+    fn bias_instability_spectrum_is_b_squared_over_2_pi_f() {
         let axes = runs(400);
         let n = 3600.0;
         for (cycles, within) in
@@ -231,11 +232,11 @@ mod tests {
     }
 
     #[test]
-    fn a_longer_run_begins_with_the_same_draws() {
-        let recipe = GyroBiasInstability { b_deg_per_h: [20.0; 3] };
-        let mut short = build_seeded(&recipe, 100.0, 3);
+    fn longer_run_begins_with_the_same_draws() {
+        let params = GyroBiasInstability { b_deg_per_h: [20.0; 3] };
+        let mut short = build_seeded(&params, 100.0, 3);
         let vehicle = ::vehicle::VehicleParams::OS4;
-        let mut long = recipe.build(&Build {
+        let mut long = params.build(&BuildContext {
             name: "test",
             seed: 3,
             rate_hz: 100.0,

@@ -1,14 +1,14 @@
 //! Constant bias: y ← y + b.
 //!
-//! The part of the zero error that no switching on and no time changes, as a calibration leaves it or a
-//! datasheet's zero-rate (zero-g) output gives it. 1 mg for 60 s is 17.65 m (eqs 2-3); 1 deg/h for 60 s of an
-//! accelerometer's tilt is 1.71 m.
+//! The part of the zero error that stays the same at every power-on and over time: the rest that a calibration
+//! leaves, or a datasheet's zero-rate (zero-g) output. An accelerometer bias of 1 mg makes a position error of
+//! 17.65 m in 60 s (eqs 2-3). A gyroscope bias of 1 deg/h tilts the accelerometer, which makes 1.71 m in 60 s.
 
 use flight_core::geometry::Vec3;
 use serde::Deserialize;
 
 use super::DEG;
-use crate::effects::{BoxedSensorEffect, Build, Recipe, SensorEffect, Snapshot};
+use crate::effects::{BoxedSensorEffect, BuildContext, EffectParams, SensorEffect, Snapshot};
 use input::InputError;
 use input::check;
 
@@ -16,7 +16,7 @@ use input::check;
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct GyroConstantBias {
-    /// b, deg/s, body axes.
+    /// Bias b, deg/s, body axes.
     pub bias_deg_s: [f64; 3],
 }
 
@@ -24,35 +24,35 @@ pub struct GyroConstantBias {
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct AccelConstantBias {
-    /// b, m/s², body axes. 1 mg is 0.00980665 m/s².
+    /// Bias b, m/s², body axes. 1 mg is 0.00980665 m/s².
     pub bias_m_s2: [f64; 3],
 }
 
-impl Recipe for GyroConstantBias {
+impl EffectParams for GyroConstantBias {
     type Effect = BoxedSensorEffect;
 
     fn validate(&self, key: &str) -> Result<(), InputError> {
         check::keys_in_range(key, "bias_deg_s", self.bias_deg_s, -1e3, 1e3, "deg/s")
     }
 
-    fn build(&self, _: &Build) -> BoxedSensorEffect {
+    fn build(&self, _: &BuildContext) -> BoxedSensorEffect {
         Box::new(Offset(self.bias_deg_s.map(|b| b * DEG).into()))
     }
 }
 
-impl Recipe for AccelConstantBias {
+impl EffectParams for AccelConstantBias {
     type Effect = BoxedSensorEffect;
 
     fn validate(&self, key: &str) -> Result<(), InputError> {
         check::keys_in_range(key, "bias_m_s2", self.bias_m_s2, -100.0, 100.0, "m/s²")
     }
 
-    fn build(&self, _: &Build) -> BoxedSensorEffect {
+    fn build(&self, _: &BuildContext) -> BoxedSensorEffect {
         Box::new(Offset(self.bias_m_s2.into()))
     }
 }
 
-/// Adds the same to every reading.
+/// A constant that is added to every reading.
 #[derive(Debug)]
 pub(super) struct Offset(pub Vec3<f64>);
 
@@ -70,7 +70,7 @@ mod tests {
     use flight_core::geometry::vec3;
 
     #[test]
-    fn integrates_to_the_figures_of_the_papers_equations_2_and_3() {
+    fn bias_integrates_to_the_figures_of_equations_2_and_3() {
         let milli_g = 9.80665e-3;
         let mut accel = build(&AccelConstantBias { bias_m_s2: [milli_g, 0.0, 0.0] }, 1000.0);
         let mut gyro = build(&GyroConstantBias { bias_deg_s: [1.0 / 3600.0, 0.0, 0.0] }, 1000.0);

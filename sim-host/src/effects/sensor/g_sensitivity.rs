@@ -1,4 +1,4 @@
-//! g-sensitivity: a gyroscope feels specific force as rate.
+//! g-sensitivity: a gyroscope reads specific force as rate.
 //!
 //! ω ← ω + G f/g, with f the true specific force at the centre of gravity and G in deg/s per g; rows are the
 //! gyroscope's axes, columns the force's (IEEE Std 1431-2004: linear acceleration sensitivity). MEMS parts
@@ -8,7 +8,7 @@ use flight_core::geometry::{Mat3, Vec3};
 use serde::Deserialize;
 
 use super::DEG;
-use crate::effects::{BoxedSensorEffect, Build, Recipe, SensorEffect, Snapshot};
+use crate::effects::{BoxedSensorEffect, BuildContext, EffectParams, SensorEffect, Snapshot};
 use ::vehicle::GRAVITY;
 use input::InputError;
 use input::check;
@@ -17,11 +17,11 @@ use input::check;
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct GSensitivity {
-    /// G, deg/s/g, by rows: what x, y and z read of each axis of the force.
+    /// G, deg/s/g, row by row: the rows are the gyroscope's x, y, z, the columns the axes of the force.
     pub matrix_deg_s_per_g: [[f64; 3]; 3],
 }
 
-impl Recipe for GSensitivity {
+impl EffectParams for GSensitivity {
     type Effect = BoxedSensorEffect;
 
     fn validate(&self, key: &str) -> Result<(), InputError> {
@@ -29,12 +29,12 @@ impl Recipe for GSensitivity {
         check::keys_in_range(key, "matrix_deg_s_per_g", entries, -100.0, 100.0, "deg/s/g")
     }
 
-    fn build(&self, _: &Build) -> BoxedSensorEffect {
+    fn build(&self, _: &BuildContext) -> BoxedSensorEffect {
         Box::new(Coupling(Mat3::from_rows(self.matrix_deg_s_per_g) * (DEG / GRAVITY)))
     }
 }
 
-/// rad/s per m/s².
+/// Coupling matrix, rad/s per m/s².
 struct Coupling(Mat3<f64>);
 
 impl SensorEffect for Coupling {
@@ -47,16 +47,16 @@ impl SensorEffect for Coupling {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::effects::sensor::testing::{STATE, at_rest, build, moment};
+    use crate::effects::sensor::testing::{STATE, at_rest, build, snapshot};
     use flight_core::geometry::vec3;
 
     #[test]
-    fn a_vehicle_at_rest_feels_minus_one_g_on_its_z() {
+    fn gyro_at_rest_reads_g_sensitivity_to_minus_1_g() {
         let g = [[0.0, 0.0, 0.1], [0.0, 0.2, 0.0], [0.3, 0.0, -0.4]];
         let mut effect = build(&GSensitivity { matrix_deg_s_per_g: g }, 100.0);
         let level = at_rest(|at| effect.apply(Vec3::ZERO, at)) * (1.0 / DEG);
         assert!((level - vec3(-0.1, 0.0, 0.4)).norm() < 1e-12, "{level:?}");
-        let pushed = Snapshot { specific_force: vec3(GRAVITY, 2.0 * GRAVITY, 0.0), ..moment(&STATE, 0.0) };
+        let pushed = Snapshot { specific_force: vec3(GRAVITY, 2.0 * GRAVITY, 0.0), ..snapshot(&STATE, 0.0) };
         let pushed = effect.apply(vec3(1.0, 0.0, 0.0), &pushed);
         assert!((pushed - vec3(1.0, 0.4 * DEG, 0.3 * DEG)).norm() < 1e-12, "{pushed:?}");
     }

@@ -1,11 +1,11 @@
-//! Hard iron (eq 17): a magnetised part of the vehicle adds a field that turns with it.
+//! Hard iron (eq 17): a magnetised part of the vehicle adds a field that turns with the vehicle.
 //!
-//! m ← m + h. The paper's magnetometer reads 200 µT more on y than on x, four times the Earth's field.
+//! m ← m + h. The paper's magnetometer reads 200 µT more on y than on x, which is four times the Earth's field.
 
 use flight_core::geometry::Vec3;
 use serde::Deserialize;
 
-use crate::effects::{BoxedSensorEffect, Build, Recipe, SensorEffect, Snapshot};
+use crate::effects::{BoxedSensorEffect, BuildContext, EffectParams, SensorEffect, Snapshot};
 use input::InputError;
 use input::check;
 
@@ -13,18 +13,18 @@ use input::check;
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct HardIron {
-    /// h, µT, body axes.
+    /// Field h, µT, body axes.
     pub field_ut: [f64; 3],
 }
 
-impl Recipe for HardIron {
+impl EffectParams for HardIron {
     type Effect = BoxedSensorEffect;
 
     fn validate(&self, key: &str) -> Result<(), InputError> {
         check::keys_in_range(key, "field_ut", self.field_ut, -1e4, 1e4, "µT")
     }
 
-    fn build(&self, _: &Build) -> BoxedSensorEffect {
+    fn build(&self, _: &BuildContext) -> BoxedSensorEffect {
         Box::new(Offset(self.field_ut.into()))
     }
 }
@@ -44,7 +44,7 @@ mod tests {
     use flight_core::geometry::vec3;
 
     #[test]
-    fn adds_the_field_whatever_the_reading() {
+    fn hard_iron_adds_its_field_to_any_reading() {
         let mut effect = build(&HardIron { field_ut: [0.0, 200.0, 0.0] }, 100.0);
         let reading = at_rest(|at| effect.apply(vec3(25.0, 3.0, 41.0), at));
         assert_eq!(reading, vec3(25.0, 203.0, 41.0));

@@ -1,12 +1,12 @@
-//! Lever arm: an accelerometer off the centre of gravity feels the body turn.
+//! Lever arm: an accelerometer away from the centre of gravity measures the rotation of the body.
 //!
 //! f ← f + α × r + ω × (ω × r), rigid-body kinematics: the Euler and the centripetal acceleration at r. At
-//! r = 2 cm a spin of 360 °/s is 0.79 m/s².
+//! r = 2 cm a rate of 360 °/s makes 0.79 m/s².
 
 use flight_core::geometry::Vec3;
 use serde::Deserialize;
 
-use crate::effects::{BoxedSensorEffect, Build, Recipe, SensorEffect, Snapshot};
+use crate::effects::{BoxedSensorEffect, BuildContext, EffectParams, SensorEffect, Snapshot};
 use input::InputError;
 use input::check;
 
@@ -14,18 +14,18 @@ use input::check;
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct LeverArm {
-    /// r, m: where the accelerometer is, from the centre of gravity, body axes.
+    /// Position r of the accelerometer from the centre of gravity, m, body axes.
     pub r_m: [f64; 3],
 }
 
-impl Recipe for LeverArm {
+impl EffectParams for LeverArm {
     type Effect = BoxedSensorEffect;
 
     fn validate(&self, key: &str) -> Result<(), InputError> {
         check::keys_in_range(key, "r_m", self.r_m, -10.0, 10.0, "m")
     }
 
-    fn build(&self, _: &Build) -> BoxedSensorEffect {
+    fn build(&self, _: &BuildContext) -> BoxedSensorEffect {
         Box::new(Arm(self.r_m.into()))
     }
 }
@@ -43,23 +43,23 @@ impl SensorEffect for Arm {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::effects::sensor::testing::{STATE, build, moment};
+    use crate::effects::sensor::testing::{STATE, build, snapshot};
     use crate::state::State;
     use flight_core::geometry::vec3;
 
     #[test]
-    fn a_turntable_pulls_inwards_and_along() {
+    fn lever_arm_on_turntable_adds_both_accelerations() {
         let mut effect = build(&LeverArm { r_m: [0.5, 0.0, 0.2] }, 100.0);
         let state = State { rates: vec3(0.0, 0.0, 3.0), ..STATE };
-        let at = Snapshot { angular_acceleration: vec3(0.0, 0.0, 2.0), ..moment(&state, 0.0) };
-        // −ω² r inwards, α r along; what lies on the axis feels nothing.
-        let felt = effect.apply(Vec3::ZERO, &at);
-        assert!((felt - vec3(-9.0 * 0.5, 2.0 * 0.5, 0.0)).norm() < 1e-15, "{felt:?}");
+        let at = Snapshot { angular_acceleration: vec3(0.0, 0.0, 2.0), ..snapshot(&state, 0.0) };
+        // −ω² r inwards, α r along the motion; the offset along the axis of rotation has no effect.
+        let reading = effect.apply(Vec3::ZERO, &at);
+        assert!((reading - vec3(-9.0 * 0.5, 2.0 * 0.5, 0.0)).norm() < 1e-15, "{reading:?}");
     }
 
     #[test]
-    fn is_the_second_derivative_of_where_the_sensor_is() {
-        // A point of a body that turns about y by φ(t) = 0.3 sin 5t; differences of its true path.
+    fn lever_arm_is_second_derivative_of_sensor_position() {
+        // Second differences of the path of a point on a body that turns about y by φ(t) = 0.3 sin 5t.
         let r = vec3(0.1, 0.0, -0.04);
         let mut effect = build(&LeverArm { r_m: r.into() }, 100.0);
         let place = |t: f64| {
@@ -72,7 +72,8 @@ mod tests {
         let body = vec3(c * world.x - s * world.z, 0.0, c * world.z + s * world.x);
         let state = State { rates: vec3(0.0, 1.5 * (5.0 * t).cos(), 0.0), ..STATE };
         let turning = vec3(0.0, -7.5 * (5.0 * t).sin(), 0.0);
-        let got = effect.apply(Vec3::ZERO, &Snapshot { angular_acceleration: turning, ..moment(&state, t) });
+        let got =
+            effect.apply(Vec3::ZERO, &Snapshot { angular_acceleration: turning, ..snapshot(&state, t) });
         assert!((got - body).norm() < 1e-6, "{got:?} {body:?}");
     }
 }

@@ -1,4 +1,4 @@
-//! Misalignment: the sensor's axes are neither square to each other nor along the body's.
+//! Misalignment: the sensor's axes are neither orthogonal to each other nor parallel to the body's.
 //!
 //! ```text
 //!                          ⎡ 1     0     0 ⎤              ⎡  1    θ_z  −θ_y ⎤
@@ -6,16 +6,16 @@
 //!                          ⎣ n_zx  n_zy  1 ⎦              ⎣  θ_y  −θ_x   1  ⎦
 //! ```
 //!
-//! θ turns the chip on the board by small angles (θ_x, θ_y, θ_z): a vector seen from axes turned by θ is
-//! y − θ × y, good to θ²/2 (10 mrad: 5e-5). N has ones on its diagonal and, with x kept as the reference, the
-//! three angles by which y leans on x and z on x and y (Skog and Händel,
+//! θ = (θ_x, θ_y, θ_z) rotates the chip on the board by small angles. In axes rotated by θ a vector y is y − θ × y,
+//! with an error of θ²/2 (10 mrad: 5e-5). N has ones on its diagonal. With x as the reference axis, its other entries
+//! are the three angles by which y deviates towards x, and z towards x and y (Skog and Händel,
 //! *Calibration of a MEMS inertial measurement unit*, 2006). A datasheet's cross-axis sensitivity of 1 % is
 //! 10 mrad.
 
 use flight_core::geometry::{Mat3, Vec3};
 use serde::Deserialize;
 
-use crate::effects::{BoxedSensorEffect, Build, Recipe, SensorEffect, Snapshot};
+use crate::effects::{BoxedSensorEffect, BuildContext, EffectParams, SensorEffect, Snapshot};
 use input::InputError;
 use input::check;
 
@@ -23,10 +23,10 @@ use input::check;
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Misalignment {
-    /// θ, mrad: the chip turned about the body's x, y and z.
+    /// Rotation θ of the chip about the body's x, y and z, mrad.
     #[serde(default)]
     pub mounting_mrad: [f64; 3],
-    /// mrad: what y reads of x, z of x, and z of y.
+    /// n_yx, n_zx, n_zy, mrad: the response of y to x, of z to x, and of z to y.
     #[serde(default)]
     pub non_orthogonality_mrad: [f64; 3],
 }
@@ -35,17 +35,18 @@ impl Misalignment {
     fn matrix(&self) -> Mat3<f64> {
         let [x, y, z] = self.mounting_mrad.map(|mrad| mrad * 1e-3);
         let [y_of_x, z_of_x, z_of_y] = self.non_orthogonality_mrad.map(|mrad| mrad * 1e-3);
-        let leaning = Mat3::from_rows([[1.0, 0.0, 0.0], [y_of_x, 1.0, 0.0], [z_of_x, z_of_y, 1.0]]);
+        let skew = Mat3::from_rows([[1.0, 0.0, 0.0], [y_of_x, 1.0, 0.0], [z_of_x, z_of_y, 1.0]]);
         let turned = Mat3::from_rows([[1.0, z, -y], [-z, 1.0, x], [y, -x, 1.0]]);
-        leaning * turned
+        skew * turned
     }
 }
 
-impl Recipe for Misalignment {
+impl EffectParams for Misalignment {
     type Effect = BoxedSensorEffect;
 
     fn validate(&self, key: &str) -> Result<(), InputError> {
-        // Beyond 0.2 rad small angles are off by 2 %: that is a mounting to be calibrated, not an error.
+        // Beyond 0.2 rad the small-angle formula is wrong by 2 %. Such an angle is a mounting orientation, which a
+        // calibration handles, and not an error.
         check::keys_in_range(key, "mounting_mrad", self.mounting_mrad, -200.0, 200.0, "mrad")?;
         check::keys_in_range(
             key,
@@ -57,7 +58,7 @@ impl Recipe for Misalignment {
         )
     }
 
-    fn build(&self, _: &Build) -> BoxedSensorEffect {
+    fn build(&self, _: &BuildContext) -> BoxedSensorEffect {
         Box::new(Axes(self.matrix()))
     }
 }
@@ -78,25 +79,25 @@ mod tests {
     use flight_core::geometry::{Quaternion, vec3};
 
     #[test]
-    fn a_turned_chip_sees_the_world_turned_back() {
+    fn rotated_chip_reads_inverse_rotation() {
         let theta = vec3(0.004, -0.003, 0.005);
         let mut effect = build(
             &Misalignment { mounting_mrad: <[f64; 3]>::from(theta * 1e3), non_orthogonality_mrad: [0.0; 3] },
             100.0,
         );
         let truth = vec3(1.0, -2.0, 9.0);
-        // The exact rotation, with half angles by their sine.
+        // The exact rotation.
         let (angle, axis) = (theta.norm(), theta * (1.0 / theta.norm()));
         let chip = Quaternion { w: (angle / 2.0).cos(), v: axis * (angle / 2.0).sin() };
         let want = chip.conjugate().rotate(truth);
         let got = at_rest(|at| effect.apply(truth, at));
-        // θ²/2 of the vector.
+        // The error is at most θ²/2 of the vector.
         assert!((got - want).norm() < 0.51 * angle * angle * truth.norm(), "{got:?} {want:?}");
         assert!((got - truth).norm() > 10.0 * (got - want).norm());
     }
 
     #[test]
-    fn leaning_axes_read_their_neighbours() {
+    fn non_orthogonal_axes_read_their_neighbours() {
         let mut effect =
             build(&Misalignment { mounting_mrad: [0.0; 3], non_orthogonality_mrad: [1.0, 2.0, 3.0] }, 100.0);
         at_rest(|at| {

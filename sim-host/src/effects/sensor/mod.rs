@@ -1,7 +1,7 @@
-//! Errors of three-axis sensors, one file each.
+//! Errors of three-axis sensors. One file for each error.
 //!
-//! What applies to gyroscope, accelerometer and magnetometer alike is written once, in the sensor's SI unit;
-//! the tables of a scene differ in the units of their keys.
+//! An error that applies to several of gyroscope, accelerometer and magnetometer is written once, in the sensor's SI
+//! unit. Only the units of the scene's keys differ.
 
 mod bandwidth;
 mod bias_instability;
@@ -47,5 +47,5 @@ pub use turn_on_bias::{AccelTurnOnBias, GyroTurnOnBias};
 pub use vibration::{AccelVibration, GyroVibration};
 pub use white_noise::{AccelWhiteNoise, GyroWhiteNoise, MagWhiteNoise, WhiteNoise};
 
-/// rad in a degree.
+/// One degree in rad.
 pub(crate) const DEG: f64 = std::f64::consts::PI / 180.0;

@@ -1,14 +1,15 @@
 //! Quantization: y ← LSB · round(y/LSB), halves to even.
 //!
-//! For a step coarser than that of the chip's converter, which rounds by itself. Of a signal that moves over
-//! many steps the error is uniform and white, of deviation LSB/√12: an Allan deviation shows it as
-//! N = LSB √(Δt/12). The Q of IEEE Std 952-1997 (slope −1) is that of a sensor that counts angle, not rate.
+//! This effect is for a step coarser than that of the chip's converter, which is always simulated. If the signal
+//! moves over many steps, the error is uniform and white with the standard deviation LSB/√12: an Allan deviation
+//! shows it as N = LSB √(Δt/12). The Q of IEEE Std 952-1997 (slope −1) is for a sensor that quantizes the angle
+//! instead of the rate.
 
 use flight_core::geometry::{Vec3, vec3};
 use serde::Deserialize;
 
 use super::DEG;
-use crate::effects::{BoxedSensorEffect, Build, Recipe, SensorEffect, Snapshot};
+use crate::effects::{BoxedSensorEffect, BuildContext, EffectParams, SensorEffect, Snapshot};
 use input::InputError;
 use input::check;
 
@@ -28,26 +29,26 @@ pub struct AccelQuantization {
     pub lsb_m_s2: f64,
 }
 
-impl Recipe for GyroQuantization {
+impl EffectParams for GyroQuantization {
     type Effect = BoxedSensorEffect;
 
     fn validate(&self, key: &str) -> Result<(), InputError> {
         check::key_in_range(key, "lsb_deg_s", self.lsb_deg_s, 1e-9, 1e3, "deg/s")
     }
 
-    fn build(&self, _: &Build) -> BoxedSensorEffect {
+    fn build(&self, _: &BuildContext) -> BoxedSensorEffect {
         Box::new(Steps::new(self.lsb_deg_s * DEG))
     }
 }
 
-impl Recipe for AccelQuantization {
+impl EffectParams for AccelQuantization {
     type Effect = BoxedSensorEffect;
 
     fn validate(&self, key: &str) -> Result<(), InputError> {
         check::key_in_range(key, "lsb_m_s2", self.lsb_m_s2, 1e-9, 100.0, "m/s²")
     }
 
-    fn build(&self, _: &Build) -> BoxedSensorEffect {
+    fn build(&self, _: &BuildContext) -> BoxedSensorEffect {
         Box::new(Steps::new(self.lsb_m_s2))
     }
 }
@@ -66,8 +67,8 @@ impl Steps {
 impl SensorEffect for Steps {
     #[inline]
     fn apply_to(&mut self, reading: &mut Vec3<f64>, _: &Snapshot) {
-        // Adding and taking away 1.5 · 2⁵² rounds to the nearest integer, halves to even, below 2⁵¹ steps: at the
-        // finest LSB allowed that is 2,000,000 in the unit of its key.
+        // Adding and subtracting 1.5 · 2⁵² rounds to the nearest integer, halves to even, below 2⁵¹ steps. At the
+        // finest LSB allowed this is 2,000,000 in the unit of its key.
         const ROUNDER: f64 = 6_755_399_441_055_744.0;
         let rounded = |y: f64| ((y * self.per_lsb + ROUNDER) - ROUNDER) * self.lsb;
         *reading = vec3(rounded(reading.x), rounded(reading.y), rounded(reading.z));
@@ -87,9 +88,9 @@ mod tests {
     }
 
     #[test]
-    fn the_error_is_uniform_over_a_step() {
+    fn quantization_error_is_uniform_over_a_step() {
         let mut effect = build(&GyroQuantization { lsb_deg_s: 1.0 }, 100.0);
-        // A slow sweep over a thousand steps, incommensurate with them: mean 0, variance LSB²/12.
+        // A slow sweep over a thousand steps, at a speed incommensurate with them: mean 0, variance LSB²/12.
         let (mut sum, mut squares, count) = (0.0, 0.0, 200_000);
         at_rest(|at| {
             for k in 0..count {

@@ -1,13 +1,13 @@
-//! Rate random walk: the bias walks at random.
+//! Rate random walk: the bias is a random walk.
 //!
 //! b\[k+1\] = b\[k\] + K √Δt w, w standard normal, b = 0 at the start of the run. The Allan deviation is
-//! K √(τ/3) (IEEE Std 952-1997, C.1.4) and the deviation of b after t is K √t, at any rate.
+//! K √(τ/3) (IEEE Std 952-1997, C.1.4) and the standard deviation of b after the time t is K √t, at any rate.
 
 use flight_core::geometry::Vec3;
 use serde::Deserialize;
 
 use super::DEG;
-use crate::effects::{BoxedSensorEffect, Build, Recipe, SensorEffect, Snapshot};
+use crate::effects::{BoxedSensorEffect, BuildContext, EffectParams, SensorEffect, Snapshot};
 use input::InputError;
 use input::check;
 use random::NormalStreams;
@@ -28,27 +28,27 @@ pub struct AccelRateRandomWalk {
     pub k_m_s2_per_sqrt_s: [f64; 3],
 }
 
-impl Recipe for GyroRateRandomWalk {
+impl EffectParams for GyroRateRandomWalk {
     type Effect = BoxedSensorEffect;
 
     fn validate(&self, key: &str) -> Result<(), InputError> {
         check::keys_in_range(key, "k_deg_s_per_sqrt_s", self.k_deg_s_per_sqrt_s, 0.0, 100.0, "deg/s/√s")
     }
 
-    fn build(&self, with: &Build) -> BoxedSensorEffect {
-        Box::new(Walk::new(self.k_deg_s_per_sqrt_s.map(|k| k * DEG).into(), with))
+    fn build(&self, context: &BuildContext) -> BoxedSensorEffect {
+        Box::new(Walk::new(self.k_deg_s_per_sqrt_s.map(|k| k * DEG).into(), context))
     }
 }
 
-impl Recipe for AccelRateRandomWalk {
+impl EffectParams for AccelRateRandomWalk {
     type Effect = BoxedSensorEffect;
 
     fn validate(&self, key: &str) -> Result<(), InputError> {
         check::keys_in_range(key, "k_m_s2_per_sqrt_s", self.k_m_s2_per_sqrt_s, 0.0, 10.0, "m/s²/√s")
     }
 
-    fn build(&self, with: &Build) -> BoxedSensorEffect {
-        Box::new(Walk::new(self.k_m_s2_per_sqrt_s.into(), with))
+    fn build(&self, context: &BuildContext) -> BoxedSensorEffect {
+        Box::new(Walk::new(self.k_m_s2_per_sqrt_s.into(), context))
     }
 }
 
@@ -59,9 +59,9 @@ struct Walk {
 }
 
 impl Walk {
-    fn new(k: Vec3<f64>, with: &Build) -> Self {
-        let step = k * libm::sqrt(with.interval_s());
-        Self { bias: Vec3::ZERO, step, streams: NormalStreams::new(with.seed, with.name) }
+    fn new(k: Vec3<f64>, context: &BuildContext) -> Self {
+        let step = k * libm::sqrt(context.interval_s());
+        Self { bias: Vec3::ZERO, step, streams: NormalStreams::new(context.seed, context.name) }
     }
 }
 
@@ -79,14 +79,14 @@ mod tests {
     use crate::effects::sensor::testing::{at_rest, build_seeded};
 
     #[test]
-    fn spreads_as_the_square_root_of_time_at_any_rate() {
+    fn random_walk_grows_as_square_root_of_time() {
         let k = [0.3, 0.2, 0.0];
         for rate_hz in [10.0, 200.0] {
             let (runs, time_s) = (4000_u32, 4.0);
             let mut squares = Vec3::ZERO;
             for seed in 0..u64::from(runs) {
-                let recipe = AccelRateRandomWalk { k_m_s2_per_sqrt_s: k };
-                let mut effect = build_seeded(&recipe, rate_hz, seed);
+                let params = AccelRateRandomWalk { k_m_s2_per_sqrt_s: k };
+                let mut effect = build_seeded(&params, rate_hz, seed);
                 let end = at_rest(|at| {
                     assert_eq!(effect.apply(Vec3::X, at), Vec3::X);
                     let samples = (time_s * rate_hz) as u32;

@@ -1,12 +1,12 @@
 //! Saturation: |y| never exceeds the full scale.
 //!
-//! For a range tighter than that of the chip's converter, which saturates by itself.
+//! This effect is for a range narrower than that of the chip's converter, whose saturation is always simulated.
 
 use flight_core::geometry::{Vec3, vec3};
 use serde::Deserialize;
 
 use super::DEG;
-use crate::effects::{BoxedSensorEffect, Build, Recipe, SensorEffect, Snapshot};
+use crate::effects::{BoxedSensorEffect, BuildContext, EffectParams, SensorEffect, Snapshot};
 use ::vehicle::GRAVITY;
 use input::InputError;
 use input::check;
@@ -27,26 +27,26 @@ pub struct AccelSaturation {
     pub full_scale_g: f64,
 }
 
-impl Recipe for GyroSaturation {
+impl EffectParams for GyroSaturation {
     type Effect = BoxedSensorEffect;
 
     fn validate(&self, key: &str) -> Result<(), InputError> {
         check::key_in_range(key, "full_scale_deg_s", self.full_scale_deg_s, 1.0, 1e5, "deg/s")
     }
 
-    fn build(&self, _: &Build) -> BoxedSensorEffect {
+    fn build(&self, _: &BuildContext) -> BoxedSensorEffect {
         Box::new(Limit(self.full_scale_deg_s * DEG))
     }
 }
 
-impl Recipe for AccelSaturation {
+impl EffectParams for AccelSaturation {
     type Effect = BoxedSensorEffect;
 
     fn validate(&self, key: &str) -> Result<(), InputError> {
         check::key_in_range(key, "full_scale_g", self.full_scale_g, 0.1, 1e3, "g")
     }
 
-    fn build(&self, _: &Build) -> BoxedSensorEffect {
+    fn build(&self, _: &BuildContext) -> BoxedSensorEffect {
         Box::new(Limit(self.full_scale_g * GRAVITY))
     }
 }
@@ -67,7 +67,7 @@ mod tests {
     use crate::effects::sensor::testing::{at_rest, build};
 
     #[test]
-    fn reads_the_full_scale_beyond_it_and_the_truth_within() {
+    fn saturation_limits_to_the_full_scale() {
         let mut gyro = build(&GyroSaturation { full_scale_deg_s: 250.0 }, 100.0);
         let mut accel = build(&AccelSaturation { full_scale_g: 2.0 }, 100.0);
         at_rest(|at| {

@@ -1,11 +1,11 @@
 //! Scale factor error: y ← (1 + s) y, per axis.
 //!
-//! A datasheet's sensitivity tolerance: 0.5 % is 5,000 ppm.
+//! It corresponds to a datasheet's sensitivity tolerance: 0.5 % is 5,000 ppm.
 
 use flight_core::geometry::Vec3;
 use serde::Deserialize;
 
-use crate::effects::{BoxedSensorEffect, Build, Recipe, SensorEffect, Snapshot};
+use crate::effects::{BoxedSensorEffect, BuildContext, EffectParams, SensorEffect, Snapshot};
 use input::InputError;
 use input::check;
 
@@ -13,18 +13,18 @@ use input::check;
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ScaleFactor {
-    /// s, parts per million, body axes.
+    /// Error s, parts per million, body axes.
     pub error_ppm: [f64; 3],
 }
 
-impl Recipe for ScaleFactor {
+impl EffectParams for ScaleFactor {
     type Effect = BoxedSensorEffect;
 
     fn validate(&self, key: &str) -> Result<(), InputError> {
         check::keys_in_range(key, "error_ppm", self.error_ppm, -5e5, 5e5, "ppm")
     }
 
-    fn build(&self, _: &Build) -> BoxedSensorEffect {
+    fn build(&self, _: &BuildContext) -> BoxedSensorEffect {
         Box::new(Scale(self.error_ppm.map(|ppm| 1.0 + ppm * 1e-6).into()))
     }
 }

@@ -1,12 +1,12 @@
-//! Soft iron: parts of the vehicle that are not magnets themselves bend the field that they are in.
+//! Soft iron: unmagnetised ferromagnetic parts of the vehicle distort the external field.
 //!
-//! m ← S m, S a 3×3 matrix in body axes, near the identity. A sphere of readings becomes an ellipsoid. The
-//! same matrix carries the magnetometer's gains (diagonal) and skewed axes.
+//! m ← S m, where S is a 3×3 matrix in body axes, near the identity. A sphere of readings becomes an ellipsoid. The
+//! same matrix can represent errors of the magnetometer's gains (diagonal) and skewed axes.
 
 use flight_core::geometry::{Mat3, Vec3};
 use serde::Deserialize;
 
-use crate::effects::{BoxedSensorEffect, Build, Recipe, SensorEffect, Snapshot};
+use crate::effects::{BoxedSensorEffect, BuildContext, EffectParams, SensorEffect, Snapshot};
 use input::InputError;
 use input::check;
 
@@ -14,28 +14,28 @@ use input::check;
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SoftIron {
-    /// S, row by row, µT read per µT there.
+    /// Matrix S, row by row: µT in the reading per µT of true field.
     pub matrix: [[f64; 3]; 3],
 }
 
-impl Recipe for SoftIron {
+impl EffectParams for SoftIron {
     type Effect = BoxedSensorEffect;
 
     fn validate(&self, key: &str) -> Result<(), InputError> {
         check::keys_in_range(key, "matrix", self.matrix.into_iter().flatten(), -10.0, 10.0, "µT/µT")?;
-        // A reflection or a plane is no iron: no calibration could take it out.
+        // Soft iron cannot make a reflection or a singular matrix, and a calibration could not correct them.
         let determinant = Mat3::from_rows(self.matrix).determinant();
-        check::key_in_range(key, "matrix", determinant, 1e-3, 1e3, "in its determinant")
+        check::key_in_range(key, "matrix (determinant)", determinant, 1e-3, 1e3, "(a ratio)")
     }
 
-    fn build(&self, _: &Build) -> BoxedSensorEffect {
-        Box::new(Bend(Mat3::from_rows(self.matrix)))
+    fn build(&self, _: &BuildContext) -> BoxedSensorEffect {
+        Box::new(Matrix(Mat3::from_rows(self.matrix)))
     }
 }
 
-struct Bend(Mat3<f64>);
+struct Matrix(Mat3<f64>);
 
-impl SensorEffect for Bend {
+impl SensorEffect for Matrix {
     fn apply_to(&mut self, reading: &mut Vec3<f64>, _: &Snapshot) {
         *reading = self.0 * *reading;
     }
@@ -48,7 +48,7 @@ mod tests {
     use flight_core::geometry::vec3;
 
     #[test]
-    fn the_columns_are_what_unit_fields_read() {
+    fn soft_iron_columns_are_readings_of_unit_fields() {
         let matrix = [[1.1, 0.02, -0.03], [0.04, 0.9, 0.05], [-0.06, 0.07, 1.2]];
         let mut effect = build(&SoftIron { matrix }, 100.0);
         at_rest(|at| {
@@ -60,11 +60,11 @@ mod tests {
     }
 
     #[test]
-    fn a_matrix_that_flattens_or_reflects_is_refused() {
+    fn singular_or_reflecting_soft_iron_is_an_error() {
         for last in [0.0, -1.0] {
             let matrix = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, last]];
-            let said = SoftIron { matrix }.validate("effects.mag.soft_iron").unwrap_err().to_string();
-            assert!(said.contains("determinant"), "{said}");
+            let error = SoftIron { matrix }.validate("effects.mag.soft_iron").unwrap_err().to_string();
+            assert!(error.contains("determinant"), "{error}");
         }
     }
 }

@@ -1,23 +1,23 @@
-//! Temperature: bias and scale follow the chip's temperature while it warms up.
+//! Temperature: bias and scale factor follow the chip's temperature while it warms up.
 //!
 //! ```text
 //!  T(t) = T_end + (T_0 − T_end) e^(−t/τ)        y ← (1 + s (T − T_ref)) y + b (T − T_ref)
 //! ```
 //!
-//! A body that heats at a constant power loses it to the air in proportion to its excess of temperature
-//! (Newton's law of cooling); b and s are a datasheet's temperature coefficients of the zero error and of the
-//! sensitivity, linear about the temperature of its calibration.
+//! The chip heats at a constant power and loses heat in proportion to its temperature above the air's (Newton's law
+//! of cooling). b and s are a datasheet's temperature coefficients of the zero error and of the sensitivity. They are
+//! linear about the temperature of the calibration.
 
 use flight_core::geometry::{Vec3, vec3};
 use serde::Deserialize;
 
 use super::DEG;
-use crate::effects::{BoxedSensorEffect, Build, Recipe, SensorEffect, Snapshot};
+use crate::effects::{BoxedSensorEffect, BuildContext, EffectParams, SensorEffect, Snapshot};
 use input::InputError;
 use input::check;
 
-/// Temperature at which datasheets calibrate, °C.
-fn room_c() -> f64 {
+/// Returns the usual calibration temperature of datasheets, °C.
+fn default_reference_c() -> f64 {
     25.0
 }
 
@@ -25,19 +25,19 @@ fn room_c() -> f64 {
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct GyroTemperature {
-    /// T_0, °C.
+    /// Temperature T_0 at the start, °C.
     pub start_c: f64,
-    /// T_end, °C.
+    /// Final temperature T_end, °C.
     pub end_c: f64,
-    /// τ, s.
+    /// Time constant τ, s.
     pub tau_s: f64,
-    /// T_ref, °C; 25 without it.
-    #[serde(default = "room_c")]
+    /// Temperature T_ref of the calibration, °C; default 25.
+    #[serde(default = "default_reference_c")]
     pub reference_c: f64,
-    /// b, deg/s/K.
+    /// Coefficient b of the bias, deg/s/K.
     #[serde(default)]
     pub bias_deg_s_per_k: [f64; 3],
-    /// s, ppm/K.
+    /// Coefficient s of the scale factor, ppm/K.
     #[serde(default)]
     pub scale_ppm_per_k: [f64; 3],
 }
@@ -46,19 +46,19 @@ pub struct GyroTemperature {
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct AccelTemperature {
-    /// T_0, °C.
+    /// Temperature T_0 at the start, °C.
     pub start_c: f64,
-    /// T_end, °C.
+    /// Final temperature T_end, °C.
     pub end_c: f64,
-    /// τ, s.
+    /// Time constant τ, s.
     pub tau_s: f64,
-    /// T_ref, °C; 25 without it.
-    #[serde(default = "room_c")]
+    /// Temperature T_ref of the calibration, °C; default 25.
+    #[serde(default = "default_reference_c")]
     pub reference_c: f64,
-    /// b, m/s²/K.
+    /// Coefficient b of the bias, m/s²/K.
     #[serde(default)]
     pub bias_m_s2_per_k: [f64; 3],
-    /// s, ppm/K.
+    /// Coefficient s of the scale factor, ppm/K.
     #[serde(default)]
     pub scale_ppm_per_k: [f64; 3],
 }
@@ -70,7 +70,7 @@ fn validate_curve(key: &str, temperatures_c: [(&str, f64); 3], tau_s: f64) -> Re
     check::key_in_range(key, "tau_s", tau_s, 0.01, 1e6, "s")
 }
 
-impl Recipe for GyroTemperature {
+impl EffectParams for GyroTemperature {
     type Effect = BoxedSensorEffect;
 
     fn validate(&self, key: &str) -> Result<(), InputError> {
@@ -81,18 +81,18 @@ impl Recipe for GyroTemperature {
         check::keys_in_range(key, "scale_ppm_per_k", self.scale_ppm_per_k, -1e4, 1e4, "ppm/K")
     }
 
-    fn build(&self, with: &Build) -> BoxedSensorEffect {
+    fn build(&self, context: &BuildContext) -> BoxedSensorEffect {
         Box::new(WarmUp {
             excess_k: self.start_c - self.reference_c,
             end_excess_k: self.end_c - self.reference_c,
-            approach: approach(with, self.tau_s),
+            approach: approach(context, self.tau_s),
             bias_per_k: self.bias_deg_s_per_k.map(|b| b * DEG).into(),
             scale_per_k: self.scale_ppm_per_k.map(|ppm| ppm * 1e-6).into(),
         })
     }
 }
 
-impl Recipe for AccelTemperature {
+impl EffectParams for AccelTemperature {
     type Effect = BoxedSensorEffect;
 
     fn validate(&self, key: &str) -> Result<(), InputError> {
@@ -103,20 +103,20 @@ impl Recipe for AccelTemperature {
         check::keys_in_range(key, "scale_ppm_per_k", self.scale_ppm_per_k, -1e4, 1e4, "ppm/K")
     }
 
-    fn build(&self, with: &Build) -> BoxedSensorEffect {
+    fn build(&self, context: &BuildContext) -> BoxedSensorEffect {
         Box::new(WarmUp {
             excess_k: self.start_c - self.reference_c,
             end_excess_k: self.end_c - self.reference_c,
-            approach: approach(with, self.tau_s),
+            approach: approach(context, self.tau_s),
             bias_per_k: self.bias_m_s2_per_k.into(),
             scale_per_k: self.scale_ppm_per_k.map(|ppm| ppm * 1e-6).into(),
         })
     }
 }
 
-/// 1 − e^(−Δt/τ): the part of the way to T_end that a sample goes.
-fn approach(with: &Build, tau_s: f64) -> f64 {
-    -libm::expm1(-with.interval_s() / tau_s)
+/// Returns 1 − e^(−Δt/τ): the fraction of the distance to T_end that is covered in one sample.
+fn approach(context: &BuildContext, tau_s: f64) -> f64 {
+    -libm::expm1(-context.interval_s() / tau_s)
 }
 
 struct WarmUp {
@@ -135,8 +135,8 @@ impl SensorEffect for WarmUp {
     fn apply_to(&mut self, reading: &mut Vec3<f64>, _: &Snapshot) {
         let scale = vec3(1.0, 1.0, 1.0) + self.scale_per_k * self.excess_k;
         *reading = reading.scale_by(scale) + self.bias_per_k * self.excess_k;
-        // Step by step rather than by the exponential of the time, which would cost more than the rest. It is
-        // exact but for rounding, and that stays below 10⁻¹⁶ T τ/Δt: 3e-8 K for 30 K, 1,000 s and 10 kHz.
+        // A recursion, because the exponential of the time would cost more than the rest. It is exact except for
+        // rounding, which stays below 10⁻¹⁶ T τ/Δt: 3e-8 K for 30 K, 1,000 s and 10 kHz.
         self.excess_k += (self.end_excess_k - self.excess_k) * self.approach;
     }
 }
@@ -147,13 +147,13 @@ mod tests {
     use crate::effects::sensor::testing::{at_rest, build};
 
     #[test]
-    fn follows_the_exponential_over_ten_time_constants() {
+    fn warm_up_is_exponential_over_ten_time_constants() {
         let mut gyro = build(
             &GyroTemperature {
                 start_c: 20.0,
                 end_c: 45.0,
                 tau_s: 120.0,
-                reference_c: room_c(),
+                reference_c: default_reference_c(),
                 bias_deg_s_per_k: [0.01, -0.02, 0.0],
                 scale_ppm_per_k: [0.0, 0.0, 300.0],
             },
@@ -170,7 +170,7 @@ mod tests {
     }
 
     #[test]
-    fn an_accelerometer_drifts_by_its_own_coefficients() {
+    fn accel_drifts_by_its_own_temperature_coefficients() {
         let mut accel = build(
             &AccelTemperature {
                 start_c: 35.0,

@@ -1,13 +1,13 @@
-//! Turn-on bias: y ← y + b, with b drawn once a run from a normal distribution of deviation σ.
+//! Turn-on bias: y ← y + b, with b drawn once per run from a normal distribution of standard deviation σ.
 //!
-//! The run-to-run part of the zero error (*bias repeatability* of a datasheet): another one at every
-//! switching on, which a calibration before the flight cannot know. The seed of the run decides it.
+//! The run-to-run part of the zero error (*bias repeatability* of a datasheet): it differs at every power-on, so an
+//! earlier calibration cannot include it. The seed of the run determines it.
 
 use serde::Deserialize;
 
 use super::DEG;
 use super::constant_bias::Offset;
-use crate::effects::{BoxedSensorEffect, Build, Recipe};
+use crate::effects::{BoxedSensorEffect, BuildContext, EffectParams};
 use input::InputError;
 use input::check;
 use random::NormalStreams;
@@ -16,7 +16,7 @@ use random::NormalStreams;
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct GyroTurnOnBias {
-    /// σ, deg/s.
+    /// Standard deviation σ, deg/s.
     pub sigma_deg_s: [f64; 3],
 }
 
@@ -24,36 +24,36 @@ pub struct GyroTurnOnBias {
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct AccelTurnOnBias {
-    /// σ, m/s².
+    /// Standard deviation σ, m/s².
     pub sigma_m_s2: [f64; 3],
 }
 
-impl Recipe for GyroTurnOnBias {
+impl EffectParams for GyroTurnOnBias {
     type Effect = BoxedSensorEffect;
 
     fn validate(&self, key: &str) -> Result<(), InputError> {
         check::keys_in_range(key, "sigma_deg_s", self.sigma_deg_s, 0.0, 1e3, "deg/s")
     }
 
-    fn build(&self, with: &Build) -> BoxedSensorEffect {
-        Box::new(drawn(self.sigma_deg_s.map(|sigma| sigma * DEG), with))
+    fn build(&self, context: &BuildContext) -> BoxedSensorEffect {
+        Box::new(drawn(self.sigma_deg_s.map(|sigma| sigma * DEG), context))
     }
 }
 
-impl Recipe for AccelTurnOnBias {
+impl EffectParams for AccelTurnOnBias {
     type Effect = BoxedSensorEffect;
 
     fn validate(&self, key: &str) -> Result<(), InputError> {
         check::keys_in_range(key, "sigma_m_s2", self.sigma_m_s2, 0.0, 100.0, "m/s²")
     }
 
-    fn build(&self, with: &Build) -> BoxedSensorEffect {
-        Box::new(drawn(self.sigma_m_s2, with))
+    fn build(&self, context: &BuildContext) -> BoxedSensorEffect {
+        Box::new(drawn(self.sigma_m_s2, context))
     }
 }
 
-fn drawn(sigma: [f64; 3], with: &Build) -> Offset {
-    Offset(NormalStreams::new(with.seed, with.name).draw().scale_by(sigma.into()))
+fn drawn(sigma: [f64; 3], context: &BuildContext) -> Offset {
+    Offset(NormalStreams::new(context.seed, context.name).draw().scale_by(sigma.into()))
 }
 
 #[cfg(test)]
@@ -63,12 +63,12 @@ mod tests {
     use flight_core::geometry::Vec3;
 
     #[test]
-    fn is_constant_in_a_run_and_has_its_deviation_over_runs() {
-        let recipe = GyroTurnOnBias { sigma_deg_s: [1.0, 2.0, 0.0] };
+    fn turn_on_bias_is_constant_in_a_run_and_varies_over_runs() {
+        let params = GyroTurnOnBias { sigma_deg_s: [1.0, 2.0, 0.0] };
         let runs = 20_000_u32;
         let mut squares = Vec3::ZERO;
         for seed in 0..u64::from(runs) {
-            let mut effect = build_seeded(&recipe, 100.0, seed);
+            let mut effect = build_seeded(&params, 100.0, seed);
             at_rest(|at| {
                 let first = effect.apply(Vec3::ZERO, at);
                 assert_eq!(effect.apply(Vec3::ZERO, at), first);

@@ -2,28 +2,28 @@
 //!
 //! ```text
 //!  x, z:  a Σ_rotors (Ω_i/Ω_ref)² Σ_h r_h cos(h φ_i)        φ_i = φ_i0 + ∫ Ω_i dt
-//!  y:     a Σ_rotors (Ω_i/Ω_ref)² Σ_h r_h sin(h φ_i) s_i    s_i: the rotor's sense of turning
+//!  y:     a Σ_rotors (Ω_i/Ω_ref)² Σ_h r_h sin(h φ_i) s_i    s_i: sign of the rotor's direction of rotation
 //!  noise: n √f_s w · mean of (Ω_i/Ω_ref)²
 //! ```
 //!
 //! The force of an unbalanced rotor turns with it and grows as Ω². The phase is the integral of the true rotor
-//! speed, and the tone is taken at the instant of the sample, so that the sampling folds what lies above half
-//! the rate: a two-bladed rotor at 225.7 rad/s shakes at 71.8 Hz and reads as 28.2 Hz at 100 Hz. The broadband
-//! part, from the flow and the bearings, is white in the band of the samples.
+//! speed, and the tone is evaluated at the time of the sample. So sampling folds tones above half the sample rate:
+//! a two-bladed rotor at 225.7 rad/s vibrates at 71.8 Hz, which reads as 28.2 Hz at 100 Hz. The broadband part, from
+//! the flow and the bearings, is white in the band of the samples.
 
 use flight_core::geometry::{Vec3, vec3};
 use serde::Deserialize;
 use wide::f64x4;
 
 use super::DEG;
-use crate::effects::{BoxedSensorEffect, Build, Recipe, SensorEffect, Snapshot};
+use crate::effects::{BoxedSensorEffect, BuildContext, EffectParams, SensorEffect, Snapshot};
 use ::vehicle::{GRAVITY, VehicleParams};
 use input::InputError;
 use input::check;
 use random::{NormalStream, NormalStreams};
 
-/// The rotor's own speed and nothing above it.
-fn only_the_first() -> Vec<f64> {
+/// Returns the default of `harmonics`: only the rotor's own frequency.
+fn fundamental_only() -> Vec<f64> {
     vec![1.0]
 }
 
@@ -34,13 +34,13 @@ pub struct GyroVibration {
     /// a, deg/s: amplitude of one rotor's tone at the reference speed.
     #[serde(default)]
     pub tone_deg_s: [f64; 3],
-    /// r_h: amplitudes at 1, 2, 3 … times the rotor's speed, beside a.
-    #[serde(default = "only_the_first")]
+    /// r_h: amplitudes at 1, 2, 3 … times the rotor's speed, relative to a.
+    #[serde(default = "fundamental_only")]
     pub harmonics: Vec<f64>,
     /// n at the reference speed, deg/s/√Hz (two-sided, as N).
     #[serde(default)]
     pub broadband_deg_s_per_sqrt_hz: [f64; 3],
-    /// Ω_ref, rad/s; the vehicle's hover without it.
+    /// Reference speed Ω_ref, rad/s; default: the vehicle's hover speed.
     pub reference_rad_s: Option<f64>,
 }
 
@@ -51,13 +51,13 @@ pub struct AccelVibration {
     /// a, m/s²: amplitude of one rotor's tone at the reference speed.
     #[serde(default)]
     pub tone_m_s2: [f64; 3],
-    /// r_h: amplitudes at 1, 2, 3 … times the rotor's speed, beside a.
-    #[serde(default = "only_the_first")]
+    /// r_h: amplitudes at 1, 2, 3 … times the rotor's speed, relative to a.
+    #[serde(default = "fundamental_only")]
     pub harmonics: Vec<f64>,
     /// n at the reference speed, m/s²/√Hz (two-sided, as N).
     #[serde(default)]
     pub broadband_m_s2_per_sqrt_hz: [f64; 3],
-    /// Ω_ref, rad/s; the vehicle's hover without it.
+    /// Reference speed Ω_ref, rad/s; default: the vehicle's hover speed.
     pub reference_rad_s: Option<f64>,
 }
 
@@ -67,12 +67,12 @@ fn validate_spectrum(key: &str, harmonics: &[f64], reference_rad_s: Option<f64>)
             .field(format!("{key}.harmonics"))
             .value(harmonics.len()));
     }
-    check::keys_in_range(key, "harmonics", harmonics.iter().copied(), -100.0, 100.0, "of the first")?;
+    check::keys_in_range(key, "harmonics", harmonics.iter().copied(), -100.0, 100.0, "times the tone")?;
     reference_rad_s
         .map_or(Ok(()), |speed| check::key_in_range(key, "reference_rad_s", speed, 1.0, 1e4, "rad/s"))
 }
 
-impl Recipe for GyroVibration {
+impl EffectParams for GyroVibration {
     type Effect = BoxedSensorEffect;
 
     fn validate(&self, key: &str) -> Result<(), InputError> {
@@ -82,18 +82,18 @@ impl Recipe for GyroVibration {
         validate_spectrum(key, &self.harmonics, self.reference_rad_s)
     }
 
-    fn build(&self, with: &Build) -> BoxedSensorEffect {
+    fn build(&self, context: &BuildContext) -> BoxedSensorEffect {
         Box::new(Vibration::new(
             self.tone_deg_s.map(|a| a * DEG).into(),
             &self.harmonics,
             self.broadband_deg_s_per_sqrt_hz.map(|n| n * DEG).into(),
             self.reference_rad_s,
-            with,
+            context,
         ))
     }
 }
 
-impl Recipe for AccelVibration {
+impl EffectParams for AccelVibration {
     type Effect = BoxedSensorEffect;
 
     fn validate(&self, key: &str) -> Result<(), InputError> {
@@ -103,38 +103,40 @@ impl Recipe for AccelVibration {
         validate_spectrum(key, &self.harmonics, self.reference_rad_s)
     }
 
-    fn build(&self, with: &Build) -> BoxedSensorEffect {
+    fn build(&self, context: &BuildContext) -> BoxedSensorEffect {
         Box::new(Vibration::new(
             self.tone_m_s2.into(),
             &self.harmonics,
             self.broadband_m_s2_per_sqrt_hz.into(),
             self.reference_rad_s,
-            with,
+            context,
         ))
     }
 }
 
-/// Speed at which the rotors carry the vehicle: 4 b Ω² = m g.
+/// Returns the speed at which the rotors carry the vehicle, rad/s: 4 b Ω² = m g.
 fn hover_rad_s(vehicle: &VehicleParams) -> f64 {
     libm::sqrt(vehicle.mass_kg * GRAVITY / (4.0 * vehicle.thrust_coefficient))
 }
 
-/// Sense of turning about the body's z (down): rotors 1 and 3 turn counter-clockwise seen from above.
-const SENSE: f64x4 = f64x4::new([-1.0, 1.0, -1.0, 1.0]);
+/// Sign of each rotor's rotation about the body's z (down): rotors 1 and 3 turn counter-clockwise seen from above.
+const SPIN_SIGNS: f64x4 = f64x4::new([-1.0, 1.0, -1.0, 1.0]);
 
-/// The four rotors stand side by side in vectors of four, which a compiler does not make of loops over them.
+/// Vibration of the four rotors. The rotors are the lanes of SIMD vectors, because the compiler does not vectorise
+/// loops over them.
 struct Vibration {
     tone: Vec3<f64>,
-    /// r_h of the highest harmonic, and of those below it from the first up.
+    /// r_h of the highest harmonic.
     highest: f64x4,
+    /// r_h of the other harmonics, from the first up.
     lower: Box<[f64]>,
     deviation: Vec3<f64>,
     streams: NormalStreams,
-    /// φ_i in turns, within ±½.
+    /// Phases φ_i in turns, within ±½.
     turns: f64x4,
-    /// Ω_i at the last sample; `None` before the first.
+    /// Speeds Ω_i at the previous sample; `None` before the first.
     speeds: Option<f64x4>,
-    /// Turns per rad/s in half a sample.
+    /// Turns in half a sample at 1 rad/s.
     half_step: f64,
     per_reference_squared: f64,
 }
@@ -145,38 +147,38 @@ impl Vibration {
         harmonics: &[f64],
         noise: Vec3<f64>,
         reference_rad_s: Option<f64>,
-        with: &Build,
+        context: &BuildContext,
     ) -> Self {
-        let reference_rad_s = reference_rad_s.unwrap_or_else(|| hover_rad_s(with.vehicle));
-        // Nobody knows where the rotors stand: a normal angle of ten turns' deviation, wrapped, is uniform to
-        // e^(−2π² 100).
-        let start = format!("{}.phase", with.name);
+        let reference_rad_s = reference_rad_s.unwrap_or_else(|| hover_rad_s(context.vehicle));
+        // The initial angles of the rotors are random. A normal angle with a standard deviation of ten turns, wrapped,
+        // is uniform to e^(−2π² 100).
+        let start = format!("{}.phase", context.name);
         let (&highest, lower) = harmonics.split_last().unwrap_or((&0.0, &[]));
-        let turns = [0, 1, 2, 3].map(|i| 10.0 * NormalStream::new(with.seed, &start, i).draw());
+        let turns = [0, 1, 2, 3].map(|i| 10.0 * NormalStream::new(context.seed, &start, i).draw());
         Self {
             tone,
             highest: f64x4::splat(highest),
             lower: lower.into(),
-            deviation: noise * libm::sqrt(with.rate_hz),
-            streams: NormalStreams::new(with.seed, with.name),
+            deviation: noise * libm::sqrt(context.rate_hz),
+            streams: NormalStreams::new(context.seed, context.name),
             turns: wrapped(turns.into()),
             speeds: None,
-            half_step: 0.5 * with.interval_s() / std::f64::consts::TAU,
+            half_step: 0.5 * context.interval_s() / std::f64::consts::TAU,
             per_reference_squared: 1.0 / (reference_rad_s * reference_rad_s),
         }
     }
 }
 
-/// The same angles within ±½ turn.
+/// Wraps angles to ±½ turn.
 #[inline(always)]
 fn wrapped(turns: f64x4) -> f64x4 {
-    // Adding and taking away 1.5 · 2⁵² rounds to the nearest integer.
+    // Adding and subtracting 1.5 · 2⁵² rounds to the nearest integer.
     const ROUNDER: f64x4 = f64x4::splat(6_755_399_441_055_744.0);
     turns - ((turns + ROUNDER) - ROUNDER)
 }
 
-/// sin 2πu and cos 2πu for u within ±¼ turn, to 3.4e-9 and 2.3e-10: an odd and an even polynomial, fitted to
-/// the least greatest error.
+/// Returns sin 2πu and cos 2πu for u within ±¼ turn, with errors below 3.4e-9 and 2.3e-10: an odd and an even minimax
+/// polynomial.
 #[inline(always)]
 fn sine_and_cosine(u: f64x4) -> (f64x4, f64x4) {
     const S: [f64x4; 5] = [
@@ -194,7 +196,7 @@ fn sine_and_cosine(u: f64x4) -> (f64x4, f64x4) {
         f64x4::splat(60.144_015_092_246_654),
         f64x4::splat(-24.982_237_802_386_635),
     ];
-    // By pairs (Estrin), which wait less for each other than a nest does.
+    // Estrin's scheme: its operations depend less on each other than those of Horner's.
     let v = u * u;
     let v2 = v * v;
     let v4 = v2 * v2;
@@ -215,12 +217,12 @@ impl SensorEffect for Vibration {
         const QUARTER: f64x4 = f64x4::splat(0.25);
         let speeds = f64x4::from(at.rotors);
         if let Some(last) = self.speeds {
-            // The integral of the speed by the trapezium rule.
+            // Integral of the speed by the trapezoidal rule.
             self.turns = wrapped(self.turns + (last + speeds) * f64x4::splat(self.half_step));
         }
         self.speeds = Some(speeds);
 
-        // In turns, cos φ = sin(¼ − |φ|) and sin |φ| = cos(¼ − |φ|); φ is within ±½, so ¼ − |φ| within ±¼.
+        // In turns, cos φ = sin(¼ − |φ|) and sin |φ| = cos(¼ − |φ|). φ is within ±½, so ¼ − |φ| is within ±¼.
         let (cosines, sines) = sine_and_cosine(QUARTER - self.turns.abs());
         let sines = sines.flip_signs(self.turns);
         // Σ r_h cos hφ = cos φ b₁ − b₂ and Σ r_h sin hφ = sin φ b₁ with b_h = r_h + 2 cos φ b_h+1 − b_h+2
@@ -232,7 +234,7 @@ impl SensorEffect for Vibration {
         }
         let strengths = speeds * speeds * f64x4::splat(self.per_reference_squared);
         let along = sum(strengths * (cosines * b1 - b2));
-        let across = sum(strengths * SENSE * (sines * b1));
+        let across = sum(strengths * SPIN_SIGNS * (sines * b1));
         let noise = self.deviation.scale_by(self.streams.draw()) * (0.25 * sum(strengths));
         *reading += self.tone.scale_by(vec3(along, across, along)) + noise;
     }
@@ -241,14 +243,14 @@ impl SensorEffect for Vibration {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::effects::sensor::testing::{STATE, build, moment};
+    use crate::effects::sensor::testing::{STATE, build, snapshot};
     use std::f64::consts::TAU;
 
     fn turning(rotors: [f64; 4]) -> Snapshot<'static> {
-        Snapshot { rotors, ..moment(&STATE, 0.0) }
+        Snapshot { rotors, ..snapshot(&STATE, 0.0) }
     }
 
-    /// Amplitude at this frequency in samples of x, y, z at 100 Hz: whole periods in 10 s.
+    /// Returns the amplitude at this frequency in samples of x, y, z at 100 Hz, over whole periods in 10 s.
     fn amplitudes(effect: &mut BoxedSensorEffect, rotors: [f64; 4], frequency_hz: f64) -> [f64; 3] {
         let (mut real, mut imaginary) = (Vec3::ZERO, Vec3::ZERO);
         for k in 0..1000 {
@@ -270,10 +272,10 @@ mod tests {
     }
 
     #[test]
-    fn tones_stand_at_the_aliases_of_the_harmonics_and_grow_as_the_square_of_the_speed() {
+    fn tones_are_at_aliases_and_grow_as_speed_squared() {
         for rotor in 0..4 {
             let mut rotors = [0.0; 4];
-            // 36 Hz, 72 Hz folded to 28, 108 Hz folded to 8.
+            // 36 Hz, 72 Hz folded to 28 Hz, 108 Hz folded to 8 Hz.
             rotors[rotor] = TAU * 36.0;
             for (frequency_hz, harmonic) in [(36.0, 1.0), (28.0, 0.5), (8.0, 0.25), (17.0, 0.0)] {
                 let got = amplitudes(&mut build(&tones(), 100.0), rotors, frequency_hz);
@@ -286,8 +288,8 @@ mod tests {
     }
 
     #[test]
-    fn the_phase_is_the_integral_of_a_changing_speed() {
-        // Ω(t) = 200 + 50 t rad/s for 2 s at 100 Hz, by a closed form: the trapezium is exact on a line.
+    fn vibration_phase_is_the_integral_of_the_speed() {
+        // Ω(t) = 200 + 50 t rad/s for 2 s at 100 Hz. The trapezoidal rule is exact for a linear speed.
         let mut effect = build(&AccelVibration { harmonics: vec![1.0], ..tones() }, 100.0);
         let strength = |speed: f64| (speed / (TAU * 40.0)).powi(2);
         let start = effect.apply(Vec3::ZERO, &turning([200.0, 0.0, 0.0, 0.0]));
@@ -304,15 +306,15 @@ mod tests {
     }
 
     #[test]
-    fn broadband_noise_has_its_density_at_hover_and_none_at_rest() {
-        let recipe = GyroVibration {
+    fn broadband_noise_has_its_density_at_hover() {
+        let params = GyroVibration {
             tone_deg_s: [0.0; 3],
-            harmonics: only_the_first(),
+            harmonics: fundamental_only(),
             broadband_deg_s_per_sqrt_hz: [0.1, 0.2, 0.3],
             reference_rad_s: None,
         };
-        let mut effect = build(&recipe, 400.0);
-        // OS4 hovers at 225.7 rad/s; at half of it, a quarter of the noise.
+        let mut effect = build(&params, 400.0);
+        // OS4 hovers at 225.7 rad/s; at half this speed there is a quarter of the noise.
         for (speed, part) in [(225.6696, 1.0), (112.8348, 0.25), (0.0, 0.0)] {
             let mut squares = Vec3::ZERO;
             for _ in 0..20_000 {
@@ -328,7 +330,7 @@ mod tests {
     }
 
     #[test]
-    fn sine_and_cosine_are_good_to_eight_digits() {
+    fn sine_and_cosine_are_accurate_to_eight_digits() {
         for k in -2500..=2500 {
             let turns = f64::from(k) * 1e-4;
             let (sine, cosine) = sine_and_cosine(f64x4::splat(turns));

@@ -1,14 +1,14 @@
 //! White noise (eq 16): angle random walk of a gyroscope, velocity random walk of an accelerometer.
 //!
-//! y\[k\] = N/√Δt w\[k\], w standard normal. N is the two-sided density in unit/√Hz, the deviation of
-//! one-second means; a datasheet's one-sided density is √2 N. Set per √Hz, it does not change with the rate:
-//! the Allan deviation is N/√τ at 100 Hz and at 1 kHz.
+//! y\[k\] = N/√Δt w\[k\], w standard normal. N is the two-sided density in unit/√Hz, which is the standard deviation
+//! of one-second means; a datasheet's one-sided density is √2 N. N does not depend on the sample rate: the Allan
+//! deviation is N/√τ at 100 Hz and at 1 kHz.
 
 use flight_core::geometry::Vec3;
 use serde::Deserialize;
 
 use super::DEG;
-use crate::effects::{BoxedSensorEffect, Build, Recipe, SensorEffect, Snapshot};
+use crate::effects::{BoxedSensorEffect, BuildContext, EffectParams, SensorEffect, Snapshot};
 use input::InputError;
 use input::check;
 use random::NormalStreams;
@@ -37,39 +37,39 @@ pub struct MagWhiteNoise {
     pub n_ut_per_sqrt_hz: [f64; 3],
 }
 
-impl Recipe for GyroWhiteNoise {
+impl EffectParams for GyroWhiteNoise {
     type Effect = BoxedSensorEffect;
 
     fn validate(&self, key: &str) -> Result<(), InputError> {
         check::keys_in_range(key, "n_deg_per_sqrt_h", self.n_deg_per_sqrt_h, 0.0, 1e3, "deg/√h")
     }
 
-    fn build(&self, with: &Build) -> BoxedSensorEffect {
-        Box::new(WhiteNoise::new(self.n_deg_per_sqrt_h.map(|n| n * DEG / 60.0).into(), with))
+    fn build(&self, context: &BuildContext) -> BoxedSensorEffect {
+        Box::new(WhiteNoise::new(self.n_deg_per_sqrt_h.map(|n| n * DEG / 60.0).into(), context))
     }
 }
 
-impl Recipe for AccelWhiteNoise {
+impl EffectParams for AccelWhiteNoise {
     type Effect = BoxedSensorEffect;
 
     fn validate(&self, key: &str) -> Result<(), InputError> {
         check::keys_in_range(key, "n_m_s2_per_sqrt_hz", self.n_m_s2_per_sqrt_hz, 0.0, 10.0, "m/s²/√Hz")
     }
 
-    fn build(&self, with: &Build) -> BoxedSensorEffect {
-        Box::new(WhiteNoise::new(self.n_m_s2_per_sqrt_hz.into(), with))
+    fn build(&self, context: &BuildContext) -> BoxedSensorEffect {
+        Box::new(WhiteNoise::new(self.n_m_s2_per_sqrt_hz.into(), context))
     }
 }
 
-impl Recipe for MagWhiteNoise {
+impl EffectParams for MagWhiteNoise {
     type Effect = BoxedSensorEffect;
 
     fn validate(&self, key: &str) -> Result<(), InputError> {
         check::keys_in_range(key, "n_ut_per_sqrt_hz", self.n_ut_per_sqrt_hz, 0.0, 100.0, "µT/√Hz")
     }
 
-    fn build(&self, with: &Build) -> BoxedSensorEffect {
-        Box::new(WhiteNoise::new(self.n_ut_per_sqrt_hz.into(), with))
+    fn build(&self, context: &BuildContext) -> BoxedSensorEffect {
+        Box::new(WhiteNoise::new(self.n_ut_per_sqrt_hz.into(), context))
     }
 }
 
@@ -81,9 +81,12 @@ pub struct WhiteNoise {
 }
 
 impl WhiteNoise {
-    /// Noise of density `n`, unit/√Hz.
-    pub fn new(n: Vec3<f64>, with: &Build) -> Self {
-        Self { deviation: n * libm::sqrt(with.rate_hz), streams: NormalStreams::new(with.seed, with.name) }
+    /// Creates noise of density `n`, unit/√Hz.
+    pub fn new(n: Vec3<f64>, context: &BuildContext) -> Self {
+        Self {
+            deviation: n * libm::sqrt(context.rate_hz),
+            streams: NormalStreams::new(context.seed, context.name),
+        }
     }
 }
 
@@ -100,11 +103,11 @@ mod tests {
     use crate::effects::sensor::testing::{at_rest, build};
 
     #[test]
-    fn one_second_means_have_the_deviation_that_went_in_at_any_rate() {
+    fn white_noise_density_does_not_depend_on_rate() {
         for rate_hz in [100.0, 1000.0] {
             let n = [0.032, 0.02, 0.01];
             let mut noise = build(&AccelWhiteNoise { n_m_s2_per_sqrt_hz: n }, rate_hz);
-            // The mean over T seconds has the variance N²/T: 20,000 means of 0.1 s.
+            // A mean over T seconds has the variance N²/T: 20,000 means of 0.1 s.
             let (batches, length) = (20_000, (0.1 * rate_hz) as u32);
             let mut sums = Vec3::ZERO;
             at_rest(|at| {
@@ -125,7 +128,7 @@ mod tests {
     }
 
     #[test]
-    fn table_2_in_degrees_per_second() {
+    fn white_noise_of_table_2_in_degrees_per_second() {
         // 1.9368 deg/√h is 0.03228 deg/s/√Hz; at 1 kHz each sample has √1000 of it.
         let mut noise = build(&GyroWhiteNoise { n_deg_per_sqrt_h: [1.9368; 3] }, 1000.0);
         let (mut squares, count) = (0.0, 300_000);

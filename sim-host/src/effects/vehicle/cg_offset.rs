@@ -1,11 +1,11 @@
-//! Centre of gravity beside the rotors' centre: torque −c × F of the thrust.
+//! Offset of the centre of gravity from the rotors' centre: the thrust F makes the torque −c × F.
 //!
-//! The body turns about its centre of gravity. With that at c (m, body axes) from the middle of the rotors,
-//! thrust F = (0, 0, −T) acts at −c, and turns the body by −c × F = (c_y T, −c_x T, 0), N·m: a battery pushed
-//! forward pulls the nose down, and the front rotors have to work harder by T c_x/(4 l sin 45°) each.
+//! The body turns about its centre of gravity. If that is at c (m, body axes) from the centre of the rotors, the
+//! thrust F = (0, 0, −T) acts at −c and makes the torque −c × F = (c_y T, −c_x T, 0), N·m. For example, a battery
+//! that is mounted too far forward pulls the nose down, and each front rotor needs T c_x/(4 l sin 45°) more thrust.
 //!
-//! Moments of inertia and the feet stay as they are. An accelerometer that is not at the centre of gravity
-//! is an effect of the sensor.
+//! Moments of inertia and the feet do not change. An accelerometer away from the centre of gravity is an effect of
+//! the sensor (`lever_arm`).
 //!
 //! Source: statics; the moment of a force about a point.
 
@@ -13,7 +13,7 @@ use flight_core::geometry::vec3;
 use serde::Deserialize;
 
 use super::{Body, BodyEffect, Load, Stage, VehicleEffect};
-use crate::effects::{Build, Recipe};
+use crate::effects::{BuildContext, EffectParams};
 use input::InputError;
 use input::check;
 
@@ -21,24 +21,24 @@ use input::check;
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CgOffset {
-    /// c, m: forward, right, down from the rotors' centre. Thrust is along z, so z moves nothing.
+    /// Offset c from the rotors' centre, m: forward, right, down. Thrust is along z, so z has no effect.
     pub offset_m: [f64; 3],
 }
 
-impl Recipe for CgOffset {
+impl EffectParams for CgOffset {
     type Effect = VehicleEffect;
 
     fn validate(&self, key: &str) -> Result<(), InputError> {
         check::keys_in_range(key, "offset_m", self.offset_m, -1.0, 1.0, "m")
     }
 
-    fn build(&self, _: &Build) -> VehicleEffect {
+    fn build(&self, _: &BuildContext) -> VehicleEffect {
         let [forward, right, _] = self.offset_m;
         VehicleEffect::Body(Body::CgOffset(Offset { forward, right }))
     }
 }
 
-/// Where the centre of gravity is, m.
+/// Offset of the centre of gravity, m.
 #[derive(Debug)]
 pub struct Offset {
     forward: f64,
@@ -60,7 +60,7 @@ mod tests {
     use ::vehicle::VehicleParams;
 
     #[test]
-    fn equals_the_moments_of_the_rotors_about_the_moved_centre() {
+    fn torque_equals_rotor_moments_about_the_moved_centre() {
         let offset = [0.012, -0.007, 0.02];
         let thrusts = [1.5, 1.7, 1.4, 2.0];
         let (load, _) = applied(&CgOffset { offset_m: offset }, &STATE, [200.0; 4], [0.0; 4], thrusts);
@@ -72,7 +72,7 @@ mod tests {
             })
         };
         assert!((load.torque - (moment(offset) - moment([0.0; 3]))).norm() < 1e-12);
-        // Weight forward: nose down, a negative turn about y.
+        // Weight forward: nose down, a negative torque about y.
         assert!(load.torque.y < 0.0 && load.force.norm() == 0.0);
     }
 }

@@ -1,7 +1,7 @@
 //! Dryden gusts at low altitude (MIL-F-8785C, section 3.7.3.4).
 //!
-//! Turbulence frozen into the air, which passes the vehicle at V. Along the mean wind (u), across it (v) and
-//! down (w), with h the height and W₂₀ the wind at 20 ft:
+//! The turbulence is frozen into the air, which passes the vehicle at the speed V. The components are along the mean
+//! wind (u), across it (v) and down (w); h is the height and W₂₀ the wind at 20 ft:
 //!
 //! | | σ | L | spectrum over τω, τ = L/V |
 //! |---|---|---|---|
@@ -9,21 +9,21 @@
 //! | v | as u | as u | σ² (τ/π)(1 + 3(τω)²)/(1 + (τω)²)² |
 //! | w | 0.1 W₂₀ | h | as v |
 //!
-//! h and L in ft inside the powers, W₂₀ in knots or any unit of speed. The specification's h is 10 to
-//! 1,000 ft; below and above, the end's figures apply (σ_u = 0.196 W₂₀ and L_u = 23 m from 3 m down).
+//! h and L are in ft inside the powers, W₂₀ in knots or any other unit of speed. The specification covers h from 10
+//! to 1,000 ft. Outside this range the value at the nearer end applies (σ_u = 0.196 W₂₀ and L_u = 23 m below 3 m).
 //!
 //! # Discretisation
-//! In time s = t/τ, with W a Wiener process, the shaping filters are
+//! In the normalised time s = t/τ, with the Wiener process W, the shaping filters are
 //!
 //! ```text
 //!  u: du = −u ds + √2 dW                                   variance 1
 //!  v: dp = −p ds + dW,  dq = (p − q) ds,  v = √3 p + (1 − √3) q    1/2, 1/4, covariance 1/4; of v 1
 //! ```
 //!
-//! and their solutions over a step of ε = h_step/τ are exact, whatever ε: the state decays by e^(−ε)
-//! (\[\[1, 0\], \[ε, 1\]\] for p, q) and gains normal numbers with the covariances ∫₀^ε s^k e^(−2s) ds, k = 0, 1, 2.
-//! Because they are of variance 1 for any τ, a change of height leaves no transient: the filters start in
-//! their stationary state, and σ scales what comes out.
+//! and their solutions over a step of ε = h_step/τ are exact for any ε. The state decays by e^(−ε)
+//! (times \[\[1, 0\], \[ε, 1\]\] for p, q), and normal random numbers with the covariances ∫₀^ε s^k e^(−2s) ds,
+//! k = 0, 1, 2, are added. The filters start in their stationary state and have variance 1 for any τ, so a change
+//! of height causes no transient. σ scales their output.
 //!
 //! Source: MIL-F-8785C, *Flying qualities of piloted airplanes*, 1980.
 
@@ -31,7 +31,7 @@ use flight_core::geometry::{Vec3, vec3};
 use serde::Deserialize;
 
 use super::{VehicleEffect, WindEffect};
-use crate::effects::{Build, Recipe, Snapshot};
+use crate::effects::{BuildContext, EffectParams, Snapshot};
 use input::InputError;
 use input::check;
 use random::NormalStream;
@@ -40,16 +40,16 @@ use random::NormalStream;
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Dryden {
-    /// V, m/s: how fast the gusts pass. For a vehicle that holds its place, the speed of the wind.
+    /// V, m/s: the speed at which the gusts pass. For a vehicle that holds its position, the speed of the wind.
     pub airspeed_m_s: f64,
-    /// W₂₀, m/s; as `airspeed_m_s` without it.
+    /// Wind at 20 ft, W₂₀, m/s; default `airspeed_m_s`.
     pub wind_20ft_m_s: Option<f64>,
-    /// Where the mean wind goes, degrees from north, eastward positive; 0 without it. u is along it.
+    /// Direction in which the mean wind blows, degrees from north, positive to the east; default 0. u is along it.
     #[serde(default)]
     pub towards_deg: f64,
 }
 
-impl Recipe for Dryden {
+impl EffectParams for Dryden {
     type Effect = VehicleEffect;
 
     fn validate(&self, key: &str) -> Result<(), InputError> {
@@ -60,15 +60,15 @@ impl Recipe for Dryden {
         check::key_in_range(key, "towards_deg", self.towards_deg, -360.0, 360.0, "deg")
     }
 
-    fn build(&self, with: &Build) -> VehicleEffect {
+    fn build(&self, context: &BuildContext) -> VehicleEffect {
         let [mut u, mut v, mut v2, mut w, mut w2] =
-            [0, 1, 2, 3, 4].map(|axis| NormalStream::new(with.seed, with.name, axis));
+            [0, 1, 2, 3, 4].map(|axis| NormalStream::new(context.seed, context.name, axis));
         let along = FirstOrder(u.draw());
         let [across, down] = [[&mut v, &mut v2], [&mut w, &mut w2]]
             .map(|[first, second]| SecondOrder::stationary(first.draw(), second.draw()));
         let towards_rad = self.towards_deg.to_radians();
         VehicleEffect::Wind(Box::new(Gusts {
-            step_per_speed_m: self.airspeed_m_s * with.interval_s(),
+            step_per_speed_m: self.airspeed_m_s * context.interval_s(),
             wind_20ft_m_s: self.wind_20ft_m_s.unwrap_or(self.airspeed_m_s),
             towards: [libm::cos(towards_rad), libm::sin(towards_rad)],
             field: None,
@@ -82,7 +82,7 @@ impl Recipe for Dryden {
 
 const FT_M: f64 = 0.3048;
 
-/// What the specification says of a height.
+/// Turbulence by the specification at one height.
 struct Turbulence {
     sigma_horizontal_m_s: f64,
     sigma_down_m_s: f64,
@@ -103,10 +103,10 @@ impl Turbulence {
     }
 }
 
-/// A stationary filter of first order with variance 1, and its value.
+/// The state of a stationary first-order filter with variance 1.
 struct FirstOrder(f64);
 
-/// How the filters move over a step.
+/// Coefficients of the filters for one step.
 #[derive(Clone, Copy)]
 struct Step {
     epsilon: f64,
@@ -119,7 +119,7 @@ struct Step {
     q: f64,
 }
 
-/// ∫₀^ε s^k e^(−2s) ds by its power series: closed forms lose ε^(k+1) among numbers of order 1.
+/// Returns ∫₀^ε s^k e^(−2s) ds by its power series. In the closed forms ε^(k+1) cancels between numbers of order 1.
 fn moment_of_decay(k: u32, epsilon: f64) -> f64 {
     let mut term = (0..k).fold(epsilon, |product, _| product * epsilon);
     let mut sum = 0.0;
@@ -132,9 +132,10 @@ fn moment_of_decay(k: u32, epsilon: f64) -> f64 {
 }
 
 impl Step {
-    /// Over the time in which `passed_m` of air goes by, with a turbulence of this length.
+    /// Computes the coefficients for the time in which `passed_m` of air passes, for turbulence of this length.
     fn new(passed_m: f64, length_m: f64) -> Self {
-        // The shortest length is 3 m. At 1 kHz and 100 m/s ε is 0.03, and beyond 2 nothing is left to follow.
+        // The shortest length is 3 m, so at 1 kHz and 100 m/s ε is 0.03. Beyond 2 successive samples are nearly
+        // independent.
         let epsilon = (passed_m / length_m).min(2.0);
         let [c11, c12, c22] = [0, 1, 2].map(|k| moment_of_decay(k, epsilon));
         let p = c11.sqrt();
@@ -157,7 +158,7 @@ impl FirstOrder {
     }
 }
 
-/// p and q.
+/// The state p, q of a stationary second-order filter with variance 1.
 struct SecondOrder {
     p: f64,
     q: f64,
@@ -167,7 +168,8 @@ struct SecondOrder {
 const SQRT_3: f64 = 1.732_050_807_568_877_2;
 
 impl SecondOrder {
-    /// From two standard normal numbers: var p = 1/2, and q = p/2 plus what makes its variance 1/4.
+    /// Creates the stationary state from two standard normal numbers: var p = 1/2, and q = p/2 plus an independent
+    /// part that makes its variance 1/4.
     fn stationary(first: f64, second: f64) -> Self {
         let p = std::f64::consts::FRAC_1_SQRT_2 * first;
         Self { p, q: 0.5 * p + 0.5 * std::f64::consts::FRAC_1_SQRT_2 * second }
@@ -180,7 +182,7 @@ impl SecondOrder {
     }
 }
 
-/// Figures that hold near a height.
+/// Turbulence and filter coefficients for heights near `height_ft`.
 struct Field {
     height_ft: f64,
     sigma_horizontal_m_s: f64,
@@ -190,7 +192,7 @@ struct Field {
 }
 
 struct Gusts {
-    /// Air that passes in a step, m.
+    /// Length of air that passes in a step, m.
     step_per_speed_m: f64,
     wind_20ft_m_s: f64,
     /// North and east parts of the mean wind's direction.
@@ -218,7 +220,7 @@ impl Gusts {
 impl WindEffect for Gusts {
     fn velocity(&mut self, at: &Snapshot) -> Vec3<f64> {
         let height_ft = (-at.state.position.z / FT_M).clamp(10.0, 1000.0);
-        // Nothing of the field changes by more than 1.2 % over 1 % of the height.
+        // No value of the field changes by more than 1.2 % over 1 % of the height.
         let field = match self.field.take() {
             Some(field) if (height_ft - field.height_ft).abs() <= 0.01 * field.height_ft => field,
             _ => self.field_at(height_ft),
@@ -236,24 +238,24 @@ impl WindEffect for Gusts {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::effects::vehicle::testing::{STATE, moment, wind};
+    use crate::effects::vehicle::testing::{STATE, snapshot, wind};
     use crate::state::State;
 
     #[test]
-    fn intensities_and_lengths_are_those_of_the_specification() {
-        // At 20 ft, 15 knots: σ_w = 1.5 knots, by hand with logarithms of base 0.19346.
+    fn gust_intensity_and_length_meet_the_specification() {
+        // At 20 ft, 15 knots: σ_w = 1.5 knots; the powers of the base 0.19346 by its logarithm.
         let t = Turbulence::at(20.0, 15.0 * 0.514_444);
         let base: f64 = 0.177 + 0.000823 * 20.0;
         assert!((t.sigma_down_m_s - 0.771_67).abs() < 1e-5);
         assert!((t.sigma_horizontal_m_s / t.sigma_down_m_s - (-0.4 * base.ln()).exp()).abs() < 1e-12);
         assert!((t.length_horizontal_m / 0.3048 - 20.0 * (-1.2 * base.ln()).exp()).abs() < 1e-9);
-        // At 1,000 ft the specification meets its own medium altitude: isotropic, 1,000 ft.
+        // At 1,000 ft the specification agrees with its model for medium altitude: isotropic, length 1,000 ft.
         let t = Turbulence::at(1000.0, 10.0);
         assert!((t.sigma_horizontal_m_s - 1.0).abs() < 1e-9 && (t.length_horizontal_m - 304.8).abs() < 1e-6);
     }
 
     #[test]
-    fn noise_of_a_step_has_the_covariances_of_the_closed_forms() {
+    fn step_noise_has_the_closed_form_covariances() {
         for epsilon in [2.0, 1.0, 0.3] {
             let e = (-2.0_f64 * epsilon).exp();
             let closed = [
@@ -278,23 +280,23 @@ mod tests {
         }
     }
 
-    /// Gusts along, across and down, m/s, 1 kHz, at this height.
-    fn record(recipe: &Dryden, height_m: f64, seed: u64, steps: usize) -> [Vec<f64>; 3] {
-        let mut gusts = wind(recipe, seed);
+    /// Returns gusts along, across and down, m/s, at 1 kHz, at this height.
+    fn record(params: &Dryden, height_m: f64, seed: u64, steps: usize) -> [Vec<f64>; 3] {
+        let mut gusts = wind(params, seed);
         let state = State { position: vec3(0.0, 0.0, -height_m), ..STATE };
         let mut record = [vec![], vec![], vec![]];
         for _ in 0..steps {
-            let gust = gusts.velocity(&moment(&state, 0.0, [0.0; 4]));
+            let gust = gusts.velocity(&snapshot(&state, 0.0, [0.0; 4]));
             record.iter_mut().zip(<[f64; 3]>::from(gust)).for_each(|(axis, x)| axis.push(x));
         }
         record
     }
 
-    /// Variance and autocorrelation: e^(−x) along, (1 − x/2) e^(−x) across and down, x = t/τ (the transforms
-    /// of the spectra).
+    /// The autocorrelation is e^(−x) along and (1 − x/2) e^(−x) across and down, x = t/τ: the transforms of the
+    /// spectra. The variance is its value at 0.
     #[test]
-    fn variance_and_correlation_are_those_of_the_spectra() {
-        let recipe = Dryden { airspeed_m_s: 20.0, wind_20ft_m_s: Some(8.0), towards_deg: 0.0 };
+    fn gust_variance_and_correlation_match_the_spectra() {
+        let params = Dryden { airspeed_m_s: 20.0, wind_20ft_m_s: Some(8.0), towards_deg: 0.0 };
         let t = Turbulence::at(6.096 / 0.3048, 8.0);
         let sigmas = [t.sigma_horizontal_m_s, t.sigma_horizontal_m_s, t.sigma_down_m_s];
         let taus = [t.length_horizontal_m, t.length_horizontal_m, t.length_down_m].map(|l| l / 20.0);
@@ -303,7 +305,7 @@ mod tests {
         let mut sums = [[0.0; 4]; 3];
         let (records, steps) = (40, 100_000);
         for seed in 0..records {
-            let record = record(&recipe, 6.096, seed, steps);
+            let record = record(&params, 6.096, seed, steps);
             for axis in 0..3 {
                 for (sum, lag) in sums[axis].iter_mut().zip(lags) {
                     let shift = (lag * taus[axis] * 1e3).round() as usize;
@@ -325,12 +327,12 @@ mod tests {
     }
 
     #[test]
-    fn first_gusts_have_the_full_variance_whatever_the_seed() {
-        let recipe = Dryden { airspeed_m_s: 5.0, wind_20ft_m_s: None, towards_deg: 0.0 };
+    fn first_gusts_have_the_full_variance() {
+        let params = Dryden { airspeed_m_s: 5.0, wind_20ft_m_s: None, towards_deg: 0.0 };
         let t = Turbulence::at(10.0, 5.0);
         let mut squares = [0.0; 3];
         for seed in 0..20_000 {
-            let record = record(&recipe, 1.0, seed, 1);
+            let record = record(&params, 1.0, seed, 1);
             squares.iter_mut().zip(&record).for_each(|(sum, axis)| *sum += axis[0] * axis[0]);
         }
         let sigmas = [t.sigma_horizontal_m_s, t.sigma_horizontal_m_s, t.sigma_down_m_s];
@@ -341,10 +343,10 @@ mod tests {
     }
 
     #[test]
-    fn along_turns_with_the_mean_wind() {
+    fn gusts_turn_with_the_mean_wind() {
         let at = |towards_deg| {
-            let recipe = Dryden { airspeed_m_s: 5.0, wind_20ft_m_s: None, towards_deg };
-            record(&recipe, 10.0, 3, 100).map(|axis| axis[99])
+            let params = Dryden { airspeed_m_s: 5.0, wind_20ft_m_s: None, towards_deg };
+            record(&params, 10.0, 3, 100).map(|axis| axis[99])
         };
         let ([north, east, down], turned) = (at(0.0), at(90.0));
         assert!((turned[0] + east).abs() < 1e-12 && (turned[1] - north).abs() < 1e-12 && turned[2] == down);

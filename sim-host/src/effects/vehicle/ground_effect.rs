@@ -1,12 +1,12 @@
 //! Ground effect: T/T∞ = 1/(1 − (R/4z)²) for each rotor.
 //!
-//! R is the rotor's radius and z its height above the ground, both m. A source over its mirror image slows
-//! the inflow, so the same speed gives more thrust: 1.6 % more at z = 2R, 6.7 % at z = R.
+//! R is the rotor's radius and z its height above the ground, both in m. The model is a source above its mirror
+//! image, which reduces the inflow. So the same speed gives more thrust: 1.6 % more at z = 2R, 6.7 % at z = R.
 //!
-//! The formula has a pole at z = R/4 and was checked against rotors down to z = R/2, where it says 4/3. From
-//! there down 4/3 is kept: that is as far as anyone has measured, and a rotor on the ground does not lift a
-//! vehicle of any weight. The form is that of hover; at speed the cushion stays behind, and it reads high.
-//! Upside down there is none.
+//! The formula has a pole at z = R/4 and was compared with measurements of rotors down to z = R/2, where it gives
+//! 4/3. Below that height the factor stays at 4/3, because there are no measurements, and because an infinite factor
+//! would lift any weight. The formula is for hover. In forward flight the real effect is smaller than the formula's.
+//! An inverted vehicle has no ground effect.
 //!
 //! Source: Cheeseman and Bennett, *The Effect of the Ground on a Helicopter Rotor in Forward Flight*, ARC
 //! R&M 3021, 1955.
@@ -14,7 +14,7 @@
 use serde::Deserialize;
 
 use super::{Stage, ThrustEffect, VehicleEffect};
-use crate::effects::{Build, Recipe};
+use crate::effects::{BuildContext, EffectParams};
 use ::vehicle::VehicleParams;
 use input::InputError;
 use input::check;
@@ -23,33 +23,33 @@ use input::check;
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct GroundEffect {
-    /// R, m.
+    /// Radius R of a rotor, m.
     pub rotor_radius_m: f64,
 }
 
-impl Recipe for GroundEffect {
+impl EffectParams for GroundEffect {
     type Effect = VehicleEffect;
 
     fn validate(&self, key: &str) -> Result<(), InputError> {
         check::key_in_range(key, "rotor_radius_m", self.rotor_radius_m, 0.005, 5.0, "m")
     }
 
-    fn build(&self, with: &Build) -> VehicleEffect {
-        let VehicleParams { forward_m, right_m, .. } = *with.vehicle;
+    fn build(&self, context: &BuildContext) -> VehicleEffect {
+        let VehicleParams { forward_m, right_m, .. } = *context.vehicle;
         VehicleEffect::Thrust(Box::new(Cushion { radius_m: self.rotor_radius_m, forward_m, right_m }))
     }
 }
 
 struct Cushion {
     radius_m: f64,
-    /// Of the rotors, from the centre of gravity, m.
+    /// Distance of the rotors from the centre of gravity, m.
     forward_m: f64,
     right_m: f64,
 }
 
 impl Cushion {
     fn ratio(&self, height_m: f64) -> f64 {
-        // 1/(1 − (R/4z)²) with one division: four rotors at four stages of every step.
+        // 1/(1 − (R/4z)²) with only one division, because this runs for four rotors at four stages of every step.
         let height_m = height_m.max(0.5 * self.radius_m);
         let square = height_m * height_m;
         square / (square - 0.0625 * self.radius_m * self.radius_m)
@@ -84,7 +84,7 @@ mod tests {
     }
 
     #[test]
-    fn follows_cheeseman_and_bennett_down_to_half_a_radius() {
+    fn ground_effect_is_constant_below_half_a_radius() {
         let level = Quaternion::IDENTITY;
         // 16/15 at z = R, 64/63 at 2R, 4/3 at R/2 and below.
         for (height_m, expected) in [(0.15, 16.0 / 15.0), (0.3, 64.0 / 63.0), (0.075, 4.0 / 3.0)] {
@@ -97,7 +97,7 @@ mod tests {
     }
 
     #[test]
-    fn lower_rotors_get_more_and_an_inverted_vehicle_nothing() {
+    fn ground_effect_depends_on_height_of_each_rotor() {
         // Rolled to the right, rotors 2 and 3 are lower by 2 · 0.23 sin 45° sin 0.2.
         let rolled = Quaternion::new(libm::cos(0.1), libm::sin(0.1), 0.0, 0.0);
         let [left, right, ..] = ratios(0.3, rolled);

@@ -1,14 +1,14 @@
-//! Forces, torques, lags and failures of the vehicle, one file each.
+//! Forces, torques, lags and failures of the vehicle. One file for each effect.
 //!
 //! | kind | acts on | called |
 //! |---|---|---|
-//! | [`CommandEffect`] | the speeds that the ESCs ask of the rotors | once a step |
-//! | [`WindEffect`] | the velocity of the air | once a step |
+//! | [`CommandEffect`] | the commanded rotor speeds | once per step |
+//! | [`WindEffect`] | the velocity of the air | once per step |
 //! | [`ThrustEffect`] | the thrust of each rotor | at every stage of the integration |
 //! | [`BodyEffect`] | force and torque on the body | at every stage of the integration |
 //!
-//! Contact with the ground is no effect: without it nothing could take off or land, so it is part of
-//! [`crate::dynamics::Mount::Free`], and a vehicle on a ball joint has none.
+//! Contact with the ground is not an effect: without it a vehicle could not take off or land. It is part of
+//! [`crate::dynamics::Mount::Free`]; a vehicle on a ball joint has no ground contact.
 
 mod battery_sag;
 mod cg_offset;
@@ -47,16 +47,16 @@ pub use rotor_gyroscopic::RotorGyroscopic;
 use super::Snapshot;
 use crate::state::State;
 
-/// A point in time inside a step, while the motion is integrated.
+/// The state at one stage of the integration of a step.
 #[derive(Clone, Copy, Debug)]
 pub struct Stage<'a> {
-    /// The state here.
+    /// State of the vehicle.
     pub state: &'a State,
     /// Its attitude as a matrix, body to world.
     pub matrix: &'a Mat3<f64>,
     /// Rotor speeds, rad/s.
     pub rotors: [f64; 4],
-    /// Their rates of change, rad/s².
+    /// Rates of change of the rotor speeds, rad/s².
     pub rotor_accelerations: [f64; 4],
     /// Velocity of the vehicle through the air, m/s, north, east, down.
     pub airspeed: Vec3<f64>,
@@ -71,42 +71,42 @@ pub struct Load {
     pub torque: Vec3<f64>,
 }
 
-/// Changes what the ESCs ask of the rotors.
+/// An effect on the commanded rotor speeds.
 pub trait CommandEffect: Send {
-    /// Changes the wanted speeds, rad/s.
+    /// Changes the commanded speeds, rad/s.
     fn apply(&mut self, wanted: &mut [f64; 4], at: &Snapshot);
 
-    /// Terminal voltage of the battery that this effect is, V.
+    /// Returns the terminal voltage, V, if this effect is a battery.
     fn battery_v(&self) -> Option<f64> {
         None
     }
 }
 
-/// Moves the air.
+/// An effect on the air.
 pub trait WindEffect: Send {
-    /// Velocity of the air for the coming step, m/s, north, east, down; effects add up.
+    /// Returns the velocity of the air in the next step, m/s, north, east, down. The effects add up.
     fn velocity(&mut self, at: &Snapshot) -> Vec3<f64>;
 }
 
-/// Changes the thrust of the rotors.
+/// An effect on the thrust of the rotors.
 pub trait ThrustEffect: Send {
     /// Changes the thrusts, N.
     fn apply(&self, thrusts: &mut [f64; 4], at: &Stage);
 }
 
-/// Adds force and torque to the body.
+/// A force and a torque on the body.
 pub trait BodyEffect: Send {
     /// Adds to the load. `thrusts` are those of the rotors, N.
     fn apply(&self, load: &mut Load, thrusts: &[f64; 4], at: &Stage);
 
-    /// Whether the load jumps with the command, although rotors with a lag do not.
+    /// Returns true if the load jumps with the command, although the speeds of rotors with a lag do not jump.
     fn follows_command_at_once(&self) -> bool {
         false
     }
 }
 
-/// Rotors of their own: the share of the vehicle's thrust coefficient that each has. It is drawn, not named:
-/// see [`crate::scene`]'s tolerances.
+/// The thrust coefficient of each rotor, as a share of the vehicle's. The shares are drawn from a scene's tolerances
+/// instead of being named as an effect: see [`crate::scene`].
 pub struct ThrustShares(pub [f64; 4]);
 
 impl ThrustEffect for ThrustShares {
@@ -115,7 +115,7 @@ impl ThrustEffect for ThrustShares {
     }
 }
 
-/// A vehicle effect of any kind, as built.
+/// A vehicle effect of any kind, after it is built.
 pub enum VehicleEffect {
     /// On the command.
     Command(Box<dyn CommandEffect>),
@@ -129,9 +129,9 @@ pub enum VehicleEffect {
     Body(Body),
 }
 
-/// Every [`BodyEffect`]. The effects of a scene are called four times a step, one after the other, each adding
-/// to what the one before has left: named here the compiler keeps that in registers, where calls through
-/// pointers would pass it through memory.
+/// Any [`BodyEffect`]. The effects of a scene are called four times per step, one after the other, and each adds to
+/// the load. With an enum the compiler keeps the load in registers; calls through pointers would pass it through
+/// memory.
 #[derive(Debug)]
 pub enum Body {
     /// [`LinearDrag`]

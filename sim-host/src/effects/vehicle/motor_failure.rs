@@ -1,14 +1,15 @@
-//! Motor failure: from `at_s` on a rotor reaches at most a share of its full speed.
+//! Motor failure: from `at_s` on, a rotor reaches at most a share of its full speed.
 //!
-//! Ω_wanted ≤ `limit` Ω_max from then on; 0 stops it, 0.5 is a motor that lost a phase or a chipped
-//! propeller's worth of current limit. The rotor follows with the motor's lag, as it does any command.
+//! From then on Ω_wanted ≤ `limit` Ω_max. A limit of 0 stops the rotor. A limit of 0.5 is like a motor that lost a
+//! phase, or whose current is limited because of a chipped propeller. The rotor follows with the motor's lag, as for
+//! any command.
 //!
-//! Source: a limit on the command; no model of what broke.
+//! Source: a limit on the command; the cause of the failure is not modelled.
 
 use serde::Deserialize;
 
 use super::{CommandEffect, VehicleEffect};
-use crate::effects::{Build, Recipe, Snapshot};
+use crate::effects::{BuildContext, EffectParams, Snapshot};
 use input::InputError;
 use input::check;
 
@@ -16,16 +17,16 @@ use input::check;
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct MotorFailure {
-    /// 1 front left, 2 front right, 3 rear right, 4 rear left.
+    /// Number of the rotor: 1 front left, 2 front right, 3 rear right, 4 rear left.
     pub rotor: u32,
-    /// Since the start of the scene, s.
+    /// Time of the failure, s from the start of the scene.
     pub at_s: f64,
-    /// Share of full speed that is left, 0 to 1; 0, it stops, without it.
+    /// Remaining share of full speed, 0 to 1; default 0, which stops the rotor.
     #[serde(default)]
     pub limit: f64,
 }
 
-impl Recipe for MotorFailure {
+impl EffectParams for MotorFailure {
     type Effect = VehicleEffect;
 
     fn validate(&self, key: &str) -> Result<(), InputError> {
@@ -40,12 +41,12 @@ impl Recipe for MotorFailure {
         check::key_in_range(key, "limit", self.limit, 0.0, 1.0, "of full speed")
     }
 
-    fn build(&self, with: &Build) -> VehicleEffect {
+    fn build(&self, context: &BuildContext) -> VehicleEffect {
         VehicleEffect::Command(Box::new(Failure {
             rotor: self.rotor as usize - 1,
-            // In the middle of the step before, where no rounding of the time reaches.
-            after_s: self.at_s - 0.5 * with.interval_s(),
-            limit_rad_s: self.limit * with.vehicle.max_rad_s,
+            // The middle of the previous step, so that rounding of the time does not matter.
+            after_s: self.at_s - 0.5 * context.interval_s(),
+            limit_rad_s: self.limit * context.vehicle.max_rad_s,
         }))
     }
 }
@@ -68,15 +69,15 @@ impl CommandEffect for Failure {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::effects::vehicle::testing::{STATE, command, moment};
+    use crate::effects::vehicle::testing::{STATE, command, snapshot};
 
     #[test]
-    fn limits_its_rotor_from_its_time_on() {
+    fn failure_limits_its_rotor_from_its_time_on() {
         for (limit, left) in [(0.0, 0.0), (0.5, 159.5), (1.0, 225.0)] {
             let mut failure = command(&MotorFailure { rotor: 3, at_s: 2.0, limit });
             let mut at = |time_s| {
                 let mut wanted = [225.0; 4];
-                failure.apply(&mut wanted, &moment(&STATE, time_s, [225.0; 4]));
+                failure.apply(&mut wanted, &snapshot(&STATE, time_s, [225.0; 4]));
                 wanted
             };
             assert_eq!(at(1.999), [225.0; 4]);
@@ -85,7 +86,7 @@ mod tests {
     }
 
     #[test]
-    fn refuses_a_fifth_rotor() {
+    fn rotor_number_5_is_an_error() {
         let error = MotorFailure { rotor: 5, at_s: 2.0, limit: 0.0 }.validate("k").unwrap_err().to_string();
         assert!(error.starts_with("k.rotor = 5: must be 1"), "{error}");
     }

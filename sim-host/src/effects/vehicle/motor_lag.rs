@@ -1,13 +1,13 @@
-//! Motor lag: Ω̇ = (Ω_wanted − Ω)/τ, with a τ of its own for speeding up and for slowing down.
+//! Motor lag: Ω̇ = (Ω_wanted − Ω)/τ, with separate τ for speeding up and for slowing down.
 //!
-//! The lag does not depend on the body's motion, so its solution inside a step is known exactly:
-//! Ω(t) = Ω_wanted + (Ω₀ − Ω_wanted) e^(−t/τ), however short τ is beside the step. A propeller is braked by
-//! its drag alone where the ESC does not brake, so slowing down often takes longer.
+//! The lag does not depend on the body's motion, so its solution inside a step is exact for any ratio of τ and step:
+//! Ω(t) = Ω_wanted + (Ω₀ − Ω_wanted) e^(−t/τ). If the ESC does not brake, only drag slows the propeller, so slowing
+//! down often takes longer.
 
 use serde::Deserialize;
 
 use super::VehicleEffect;
-use crate::effects::{Build, Recipe};
+use crate::effects::{BuildContext, EffectParams};
 use input::InputError;
 use input::check;
 
@@ -15,13 +15,13 @@ use input::check;
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct MotorLag {
-    /// τ, s.
+    /// Time constant τ, s.
     pub tau_s: f64,
-    /// τ while slowing down, s; as `tau_s` without it.
+    /// Time constant τ for slowing down, s; default `tau_s`.
     pub tau_down_s: Option<f64>,
 }
 
-impl Recipe for MotorLag {
+impl EffectParams for MotorLag {
     type Effect = VehicleEffect;
 
     fn validate(&self, key: &str) -> Result<(), InputError> {
@@ -29,12 +29,12 @@ impl Recipe for MotorLag {
         self.tau_down_s.map_or(Ok(()), |tau_s| check::key_in_range(key, "tau_down_s", tau_s, 1e-5, 10.0, "s"))
     }
 
-    fn build(&self, with: &Build) -> VehicleEffect {
-        VehicleEffect::Lag(Lag::new(self.tau_s, self.tau_down_s.unwrap_or(self.tau_s), with.interval_s()))
+    fn build(&self, context: &BuildContext) -> VehicleEffect {
+        VehicleEffect::Lag(Lag::new(self.tau_s, self.tau_down_s.unwrap_or(self.tau_s), context.interval_s()))
     }
 }
 
-/// The lag over half a step and over a whole one.
+/// The motor lag, prepared for half a step and a whole step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Lag {
     up: Decay,
@@ -55,17 +55,17 @@ impl Decay {
     }
 }
 
-/// A point in a step.
+/// A point in time inside a step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Point {
-    /// Half of it.
+    /// The middle of the step.
     Middle,
-    /// All of it.
+    /// The end of the step.
     End,
 }
 
 impl Lag {
-    /// With these time constants, for steps of `step_s`.
+    /// Creates a lag with these time constants, s, for steps of `step_s`.
     pub fn new(up_s: f64, down_s: f64, step_s: f64) -> Self {
         Self { up: Decay::new(up_s, step_s), down: Decay::new(down_s, step_s) }
     }
@@ -75,7 +75,8 @@ impl Lag {
         if wanted > now { &self.up } else { &self.down }
     }
 
-    /// Speed (rad/s) of a rotor that does `now` at the start of the step and is to do `wanted`.
+    /// Returns the speed, rad/s, of a rotor that has the speed `now` at the start of the step and the command
+    /// `wanted`.
     #[inline(always)]
     pub fn at(&self, point: Point, now: f64, wanted: f64) -> f64 {
         let decay = self.decay(now, wanted);
@@ -86,7 +87,7 @@ impl Lag {
         wanted + (now - wanted) * left
     }
 
-    /// Acceleration (rad/s²) of a rotor that does `now` and is to do `wanted`.
+    /// Returns the acceleration, rad/s², of a rotor that has the speed `now` and the command `wanted`.
     #[inline(always)]
     pub fn acceleration(&self, now: f64, wanted: f64) -> f64 {
         (wanted - now) * self.decay(now, wanted).per_tau
@@ -98,7 +99,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn speeds_up_and_slows_down_exponentially() {
+    fn rotor_speed_changes_exponentially() {
         for tau_s in [0.05, 1e-4] {
             let lag = Lag::new(tau_s, 2.0 * tau_s, 0.01);
             let speed = lag.at(Point::End, 100.0, 200.0);

@@ -1,8 +1,8 @@
 //! Quadratic drag of the body: F = −½ ρ C_dA |v| v, per body axis.
 //!
-//! v is the velocity through the air in body axes and C_dA (m²) the drag area seen along each of them, so a
-//! plate that turns its face to the wind feels more of it. F_i = −½ ρ (C_dA)_i |v| v_i, N. Falling flat, the
-//! vehicle ends at √(2 m g/(ρ C_dA_z)).
+//! v is the velocity through the air in body axes, and C_dA (m²) the drag area along each axis. So a plate has more
+//! drag when its face is to the wind. F_i = −½ ρ (C_dA)_i |v| v_i, N. The terminal speed of a level vehicle in free
+//! fall is √(2 m g/(ρ C_dA_z)).
 //!
 //! Source: Hoerner, *Fluid-Dynamic Drag*, 1965, on bluff bodies. ρ = 1.225 kg/m³ is that of the
 //! standard atmosphere at sea level (ISO 2533).
@@ -11,7 +11,7 @@ use flight_core::geometry::Vec3;
 use serde::Deserialize;
 
 use super::{Body, BodyEffect, Load, Stage, VehicleEffect};
-use crate::effects::{Build, Recipe};
+use crate::effects::{BuildContext, EffectParams};
 use input::InputError;
 use input::check;
 
@@ -19,9 +19,9 @@ use input::check;
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct QuadraticDrag {
-    /// C_dA, m², along the body's x, y, z.
+    /// Drag areas C_dA, m², along the body's x, y, z.
     pub cd_area_m2: [f64; 3],
-    /// ρ, kg/m³; 1.225 without it.
+    /// Air density ρ, kg/m³; default 1.225.
     #[serde(default = "sea_level")]
     pub air_density_kg_m3: f64,
 }
@@ -30,7 +30,7 @@ fn sea_level() -> f64 {
     1.225
 }
 
-impl Recipe for QuadraticDrag {
+impl EffectParams for QuadraticDrag {
     type Effect = VehicleEffect;
 
     fn validate(&self, key: &str) -> Result<(), InputError> {
@@ -38,7 +38,7 @@ impl Recipe for QuadraticDrag {
         check::key_in_range(key, "air_density_kg_m3", self.air_density_kg_m3, 0.0, 10.0, "kg/m³")
     }
 
-    fn build(&self, _: &Build) -> VehicleEffect {
+    fn build(&self, _: &BuildContext) -> VehicleEffect {
         let half_density = 0.5 * self.air_density_kg_m3;
         VehicleEffect::Body(Body::QuadraticDrag(Drag(Vec3::from(self.cd_area_m2) * half_density)))
     }
@@ -65,7 +65,7 @@ mod tests {
     use flight_core::geometry::{Quaternion, vec3};
 
     #[test]
-    fn acts_along_the_axes_of_the_body_with_the_square_of_the_speed() {
+    fn quadratic_drag_acts_in_body_axes() {
         let drag = QuadraticDrag { cd_area_m2: [0.01, 0.02, 0.04], air_density_kg_m3: 1.225 };
         let force = |attitude, velocity| {
             applied(&drag, &State { attitude, velocity, ..STATE }, [0.0; 4], [0.0; 4], [0.0; 4]).0.force
@@ -77,7 +77,7 @@ mod tests {
         // With 3, 4 and 12 m/s on the axes the speed is 13.
         let expected = vec3(3.0 * 0.01, 4.0 * 0.02, 12.0 * 0.04) * (-0.5 * 1.225 * 13.0);
         assert!((force(level, vec3(3.0, 4.0, 12.0)) - expected).norm() < 1e-12);
-        // Standing on its nose, it shows the wind from ahead its broad side.
+        // With the nose down, the body's z axis is along the motion.
         let half = std::f64::consts::FRAC_1_SQRT_2;
         let nose_down = Quaternion::new(half, 0.0, -half, 0.0);
         assert!((force(nose_down, vec3(10.0, 0.0, 0.0)) - vec3(-2.45, 0.0, 0.0)).norm() < 1e-12);

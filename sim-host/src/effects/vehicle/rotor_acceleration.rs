@@ -1,34 +1,33 @@
 //! Yaw reaction of rotors that change their speed: torque +J_r Ω̇_r about the body's z.
 //!
-//! The rotors' angular momentum is h_z = −J_r Ω_r with Ω_r by eq 14. What they gain, the body loses:
+//! The rotors' angular momentum is h_z = −J_r Ω_r with Ω_r by eq 14. The body loses the momentum that they gain:
 //! −ḣ = +J_r (Ω̇₁ − Ω̇₂ + Ω̇₃ − Ω̇₄), N·m, which eq 10 leaves out. At the start of a yaw command it is
-//! J_r/(2 d Ω τ) times the aerodynamic reaction that the command is after, and in the same direction: with
-//! OS4's figures 3.5 times.
+//! J_r/(2 d Ω τ) times the commanded aerodynamic torque, in the same direction: 3.5 times for OS4.
 //!
 //! Source: Bouabdallah, EPFL thesis 3727, 2007 (the "inertial counter-torque" of its yaw moments). Ω̇ comes from
-//! `motor_lag`; without it speeds jump, and this is an error in a scene.
+//! `motor_lag`. Without it rotor speeds jump, so a scene that names this effect alone is an error.
 
 use serde::Deserialize;
 
-use super::rotor_gyroscopic::turning;
+use super::rotor_gyroscopic::signed_rotor_inertia;
 use super::{Body, BodyEffect, Load, Stage, VehicleEffect};
-use crate::effects::{Build, Recipe};
+use crate::effects::{BuildContext, EffectParams};
 use input::InputError;
 
-/// `[effects.vehicle.rotor_acceleration]`: J_r is the vehicle's own.
+/// `[effects.vehicle.rotor_acceleration]`: J_r is in the vehicle's file.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RotorAcceleration {}
 
-impl Recipe for RotorAcceleration {
+impl EffectParams for RotorAcceleration {
     type Effect = VehicleEffect;
 
     fn validate(&self, _: &str) -> Result<(), InputError> {
         Ok(())
     }
 
-    fn build(&self, with: &Build) -> VehicleEffect {
-        VehicleEffect::Body(Body::RotorAcceleration(Reaction(turning(with.vehicle))))
+    fn build(&self, context: &BuildContext) -> VehicleEffect {
+        VehicleEffect::Body(Body::RotorAcceleration(Reaction(signed_rotor_inertia(context.vehicle))))
     }
 }
 
@@ -54,7 +53,7 @@ mod tests {
     use crate::effects::vehicle::testing::{STATE, applied};
 
     #[test]
-    fn body_takes_what_the_rotors_gain() {
+    fn body_loses_angular_momentum_of_the_rotors() {
         // Ω̇_r = 300 − 50 + 200 + 10 = 460 rad/s², times 6e-5 kg·m².
         let (load, _) =
             applied(&RotorAcceleration {}, &STATE, [200.0; 4], [300.0, 50.0, 200.0, -10.0], [1.0; 4]);

@@ -1,12 +1,12 @@
 //! Rotor drag (H-force): F = −k ΣΩ_i v⊥, in the rotor plane.
 //!
-//! In edgewise flow the blade that advances meets faster air than the one that retreats, and is held back
-//! more. Summed over a turn that is a force against the in-plane part v⊥ of the velocity through the air, in
-//! proportion to it and to the rotor's speed. k in kg/rad, N for each m/s and rad/s; 1.19·10⁻⁴ is
-//! RotorPy's figure for the 8-inch propellers of a Hummingbird. It is felt by the accelerometer, as linear
-//! drag is, and grows with the thrust.
+//! In edgewise flow the advancing blade meets faster air than the retreating one, and has more drag. Averaged over a
+//! turn, this is a force opposite to the in-plane part v⊥ of the velocity through the air, proportional to it and to
+//! the rotor's speed. k is in kg/rad, that is N per m/s and rad/s; 1.19·10⁻⁴ is RotorPy's value for the 8-inch
+//! propellers of a Hummingbird. The accelerometer measures this force, as it does linear drag. The force grows with
+//! the thrust.
 //!
-//! All rotors are taken to move with the centre of gravity: the ω × r of a rotor is small beside v where
+//! All rotors are assumed to move with the centre of gravity: the ω × r of a rotor is small compared with v where
 //! this force matters.
 //!
 //! Source: Martin and Salaün, *The true role of accelerometer feedback in quadrotor control*, ICRA 2010;
@@ -16,7 +16,7 @@ use flight_core::geometry::vec3;
 use serde::Deserialize;
 
 use super::{Body, BodyEffect, Load, Stage, VehicleEffect};
-use crate::effects::{Build, Recipe};
+use crate::effects::{BuildContext, EffectParams};
 use input::InputError;
 use input::check;
 
@@ -24,18 +24,18 @@ use input::check;
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RotorDrag {
-    /// k, kg/rad.
+    /// Drag coefficient k, kg/rad.
     pub k_kg_per_rad: f64,
 }
 
-impl Recipe for RotorDrag {
+impl EffectParams for RotorDrag {
     type Effect = VehicleEffect;
 
     fn validate(&self, key: &str) -> Result<(), InputError> {
         check::key_in_range(key, "k_kg_per_rad", self.k_kg_per_rad, 0.0, 1.0, "kg/rad")
     }
 
-    fn build(&self, _: &Build) -> VehicleEffect {
+    fn build(&self, _: &BuildContext) -> VehicleEffect {
         VehicleEffect::Body(Body::RotorDrag(HForce(self.k_kg_per_rad)))
     }
 }
@@ -62,9 +62,9 @@ mod tests {
     use flight_core::geometry::Quaternion;
 
     #[test]
-    fn acts_in_the_rotor_plane_in_proportion_to_all_speeds() {
+    fn rotor_drag_acts_in_the_rotor_plane() {
         let drag = RotorDrag { k_kg_per_rad: 1e-4 };
-        // Rolled by 30°, moving along the body's y and z: only y is held back.
+        // Rolled by 1 rad (57°), moving along the body's y and z: there is drag along y only.
         let (sin, cos) = (libm::sin(0.5), libm::cos(0.5));
         let attitude = Quaternion::new(cos, sin, 0.0, 0.0);
         let velocity = attitude.rotate(vec3(0.0, 3.0, 7.0));

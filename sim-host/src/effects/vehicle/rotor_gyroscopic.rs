@@ -1,35 +1,35 @@
 //! Gyroscopic torque of the spinning rotors: the J_r terms of eqs 8-9.
 //!
-//! The rotors' angular momentum is h = −J_r Ω_r along the body's z, Ω_r by eq 14. Turning the body at
-//! (p, q, r) turns it along, which takes the torque −ω × h = (q, −p, 0) J_r Ω_r.
+//! The rotors' angular momentum is h = −J_r Ω_r along the body's z, Ω_r by eq 14. When the body turns at
+//! ω = (p, q, r), h turns with it, and the rotors apply the torque −ω × h = (q, −p, 0) J_r Ω_r to the body.
 
 use flight_core::geometry::vec3;
 use serde::Deserialize;
 
 use super::{Body, BodyEffect, Load, Stage, VehicleEffect};
-use crate::effects::{Build, Recipe};
+use crate::effects::{BuildContext, EffectParams};
 use ::vehicle::VehicleParams;
 use input::InputError;
 
-/// `[effects.vehicle.rotor_gyroscopic]`: J_r is the vehicle's own.
+/// `[effects.vehicle.rotor_gyroscopic]`: J_r is in the vehicle's file.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RotorGyroscopic {}
 
-impl Recipe for RotorGyroscopic {
+impl EffectParams for RotorGyroscopic {
     type Effect = VehicleEffect;
 
     fn validate(&self, _: &str) -> Result<(), InputError> {
         Ok(())
     }
 
-    fn build(&self, with: &Build) -> VehicleEffect {
-        VehicleEffect::Body(Body::RotorGyroscopic(Gyroscope(turning(with.vehicle))))
+    fn build(&self, context: &BuildContext) -> VehicleEffect {
+        VehicleEffect::Body(Body::RotorGyroscopic(Gyroscope(signed_rotor_inertia(context.vehicle))))
     }
 }
 
-/// J_r, with the sign of the front left rotor's reaction, kg·m².
-pub(super) fn turning(vehicle: &VehicleParams) -> f64 {
+/// Returns J_r, kg·m², with the sign of the front left rotor's reaction torque.
+pub(super) fn signed_rotor_inertia(vehicle: &VehicleParams) -> f64 {
     f64::from(vehicle.spin.sign()) * vehicle.rotor_inertia_kg_m2
 }
 

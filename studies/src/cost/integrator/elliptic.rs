@@ -1,4 +1,4 @@
-//! Jacobi's elliptic functions, by the arithmetic-geometric mean.
+//! Jacobi's elliptic functions, computed with the arithmetic-geometric mean.
 
 use std::f64::consts::{FRAC_PI_2, PI};
 
@@ -13,8 +13,8 @@ pub struct Jacobi {
     pub dn: f64,
 }
 
-/// The means a_n and the differences c_n from a₀ = 1, c₀ = k on (Abramowitz and Stegun, 17.6). They converge
-/// quadratically: eight are more than f64 can tell apart.
+/// Returns the means a_n and the differences c_n, starting with a₀ = 1, c₀ = k (Abramowitz and Stegun, 17.6). They
+/// converge quadratically: after eight steps f64 shows no further change.
 fn means(m1: f64) -> [(f64, f64); 9] {
     let (mut a, mut b) = (1.0, libm::sqrt(m1));
     let mut list = [(1.0, libm::sqrt(1.0 - m1)); 9];
@@ -26,17 +26,17 @@ fn means(m1: f64) -> [(f64, f64); 9] {
     list
 }
 
-/// The quarter period K for the complementary parameter m₁ = 1 − k² in (0, 1].
+/// Returns the quarter period K for the complementary parameter m₁ = 1 − k² in (0, 1].
 pub fn quarter_period(m1: f64) -> f64 {
     FRAC_PI_2 / means(m1)[8].0
 }
 
-/// The functions of u for the complementary parameter m₁ = 1 − k² in (0, 1], by descending Landen
-/// transformation (Abramowitz and Stegun, 16.4). Near the separatrix m₁ is small, and 1 − k² would be all
-/// that rounding leaves of it.
+/// Returns the functions of u for the complementary parameter m₁ = 1 − k² in (0, 1], by descending Landen
+/// transformation (Abramowitz and Stegun, 16.4). The parameter is m₁ because near the separatrix it is small, and
+/// rounding would spoil 1 − k².
 pub fn jacobi(u: f64, m1: f64) -> Jacobi {
     let means = means(m1);
-    // By whole periods 4K to the first: 2⁸ a₈ u is the angle, and its digits before the point are lost.
+    // Reduce u by whole periods 4K: the angle is 2⁸ a₈ u, and its integer digits would cost precision.
     let (last, _) = means[8];
     let u = u - libm::rint(u * last / (2.0 * PI)) * (2.0 * PI / last);
     let mut angle = 256.0 * last * u;
@@ -44,7 +44,7 @@ pub fn jacobi(u: f64, m1: f64) -> Jacobi {
         angle = 0.5 * (angle + libm::asin(c / a * libm::sin(angle)));
     }
     let (sn, cn) = (libm::sin(angle), libm::cos(angle));
-    // Not √(1 − m sn²), which loses all digits where m and sn are near 1.
+    // √(1 − m sn²) would lose all digits where m and sn are near 1.
     Jacobi { sn, cn, dn: libm::sqrt(m1 + (1.0 - m1) * cn * cn) }
 }
 
@@ -53,7 +53,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn quarter_periods_are_the_published_ones() {
+    fn quarter_periods_match_published_values() {
         // Abramowitz and Stegun, table 17.1.
         for (m, published) in [
             (0.1, 1.612_441_348_720_219),
@@ -66,7 +66,7 @@ mod tests {
     }
 
     #[test]
-    fn values_are_those_of_another_implementation() {
+    fn values_match_another_implementation() {
         // mpmath 1.3.0, ellipfun at 30 digits: (u, m₁, sn, cn, dn).
         for (u, m1, sn, cn, dn) in [
             (0.2, 0.19, 0.1976208236718765, 0.9802785369736752, 0.9840560289645666),
@@ -84,7 +84,7 @@ mod tests {
     }
 
     #[test]
-    fn the_argument_is_the_integral_that_defines_it() {
+    fn argument_equals_its_defining_integral() {
         // u = ∫ dφ/√(1 − m sin²φ) from 0 to am u, by Simpson's rule.
         let (u, m) = (0.8, 0.7);
         let Jacobi { sn, cn, .. } = jacobi(u, 1.0 - m);

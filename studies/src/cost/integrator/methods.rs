@@ -1,34 +1,34 @@
-//! The integrators that are compared.
+//! The integration methods that are compared.
 
 use flight_core::geometry::{Quaternion, Vec3, vec3};
 use ode_solvers::{Dopri5, OutputType, SVector, System};
 
 use sim_host::dynamics::State;
 
-/// What moves: accelerations of a body.
+/// The motion of a body, given by its accelerations.
 pub trait Motion {
-    /// In the world's axes, m/s², and angular, in the body's axes, rad/s².
+    /// Returns the linear acceleration in world axes, m/s², and the angular acceleration in body axes, rad/s².
     fn accelerations(&self, t_s: f64, state: &State) -> (Vec3<f64>, Vec3<f64>);
 }
 
-/// A method of a fixed step.
+/// A method with a fixed step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Fixed {
-    /// Rates first, then place and attitude with the new ones; the attitude by the exact rotation.
+    /// Rates and velocity first, then position and attitude from the new values; the attitude by the exact rotation.
     SemiImplicitEuler,
-    /// The classical Runge-Kutta method on the components of the quaternion, which is normalised after each
-    /// step: what [`sim_host::dynamics`] does.
+    /// The classical Runge-Kutta method on the components of the quaternion, which is normalised after each step:
+    /// the method of [`sim_host::dynamics`].
     Rk4,
-    /// The same tableau on the rotation vector of the step (Munthe-Kaas 1998): the attitude never leaves the
-    /// unit quaternions.
+    /// The same tableau on the rotation vector of the step (Munthe-Kaas 1998): the attitude always stays a
+    /// unit quaternion.
     Rkmk4,
 }
 
 impl Fixed {
-    /// All of them.
+    /// All methods.
     pub const ALL: [Self; 3] = [Self::SemiImplicitEuler, Self::Rk4, Self::Rkmk4];
 
-    /// For tables.
+    /// Returns the name for tables.
     pub fn name(self) -> &'static str {
         match self {
             Self::SemiImplicitEuler => "semi-implicit Euler",
@@ -37,7 +37,7 @@ impl Fixed {
         }
     }
 
-    /// Evaluations of the accelerations in a step.
+    /// Returns the number of evaluations of the accelerations in a step.
     pub fn evaluations(self) -> u32 {
         match self {
             Self::SemiImplicitEuler => 1,
@@ -45,7 +45,7 @@ impl Fixed {
         }
     }
 
-    /// One step of `h` seconds.
+    /// Advances the state by one step of `h` seconds.
     #[inline]
     pub fn step(self, motion: &impl Motion, t: f64, at: &State, h: f64) -> State {
         match self {
@@ -65,7 +65,7 @@ impl Fixed {
     }
 }
 
-/// The rotation by the vector r, rad.
+/// Returns the rotation by the rotation vector r, rad.
 fn rotation(r: Vec3<f64>) -> Quaternion<f64> {
     let angle = r.norm();
     // sin(x/2)/x = ½ − x²/48 to f64 below 1e-3: x⁴/3840 is 3e-16.
@@ -181,12 +181,12 @@ fn unpacked(y: &Vector) -> State {
     }
 }
 
-/// Dormand and Prince's method of order 5 (4), of the crate `ode_solvers`, which chooses its steps by itself: the
-/// state at `end`, and the evaluations that it took. The first step is tried with `first_s`; at 0 the method
-/// guesses one.
+/// Integrates with the Dormand-Prince method of order 5 (4) of the crate `ode_solvers`, which chooses its own steps.
+/// Returns the state at `end` and the number of evaluations. The first step is tried with `first_s`; with 0 the method
+/// estimates one.
 ///
 /// # Panics
-/// The method gives up, or its last point is not at `end`: neither happens to smooth motions.
+/// The method fails, or its last point is not at `end`. Neither happens for smooth motions.
 pub fn dormand_prince(
     motion: &impl Motion,
     (start, end): (f64, f64),
@@ -195,8 +195,8 @@ pub fn dormand_prince(
     first_s: f64,
 ) -> (State, u32) {
     let y = packed(at.position, at.velocity, at.attitude.to_array(), at.rates);
-    // The dense output of version 0.6.2 ends with a wrong state; the sparse one has every step, the last of
-    // them at the end. The other parameters are its own defaults.
+    // The dense output of version 0.6.2 ends with a wrong state. The sparse output has every step, the last one at
+    // the end. The other parameters are the crate's defaults.
     let mut solver = Dopri5::from_param(
         Equations(motion),
         start,

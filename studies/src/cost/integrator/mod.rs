@@ -1,11 +1,11 @@
-//! The study `integrator`: how the vehicle's motion is integrated.
+//! The study `integrator`: methods to integrate the vehicle's motion.
 
 mod elliptic;
 mod methods;
 mod replay;
 pub(super) mod top;
 
-use super::timing::quickest;
+use super::timing::shortest_ns;
 use super::{Axis, Options, Progress, Setting, Study};
 use input::InputError;
 use sim_host::attitude_error::AttitudeError;
@@ -15,7 +15,7 @@ use methods::{Fixed, dormand_prince};
 use replay::{REFERENCE_STEPS, REFERENCE_TOLERANCE, Replay};
 use top::Top;
 
-/// Time that a top is followed, s.
+/// Time for which a top is integrated, s.
 const SECONDS: f64 = 10.0;
 const FLIGHT: &str = "flight of the scene steps";
 
@@ -23,8 +23,8 @@ fn angle(a: &State, b: &State) -> f64 {
     AttitudeError::between(a.attitude, b.attitude).total_rad
 }
 
-/// The attitude after ten seconds in steps of a fixed length.
-fn followed(top: &Top, method: Fixed, steps: u32) -> State {
+/// Returns the state after [`SECONDS`] in steps of a fixed length.
+fn integrated(top: &Top, method: Fixed, steps: u32) -> State {
     let h = SECONDS / f64::from(steps);
     (0..steps).fold(top.at(0.0), |state, k| method.step(top, f64::from(k) * h, &state, h))
 }
@@ -53,10 +53,10 @@ fn on_tops(options: &Options, progress: Progress) -> Vec<Setting> {
         let (start, end) = (top.at(0.0), top.at(SECONDS));
         for method in Fixed::ALL {
             for &steps in steps {
-                let error = angle(&followed(&top, method, steps), &end);
+                let error = angle(&integrated(&top, method, steps), &end);
                 let name = format!("{} ms", 1e3 * SECONDS / f64::from(steps));
-                let time = quickest(options, || {
-                    std::hint::black_box(followed(std::hint::black_box(&top), method, steps));
+                let time = shortest_ns(options, || {
+                    std::hint::black_box(integrated(std::hint::black_box(&top), method, steps));
                 });
                 settings.push(Setting {
                     host_ns: time.map(|ns| ns / SECONDS),
@@ -69,7 +69,7 @@ fn on_tops(options: &Options, progress: Progress) -> Vec<Setting> {
             let tolerance = libm::pow(10.0, f64::from(power));
             let run = || dormand_prince(&top, (0.0, SECONDS), &start, tolerance, 0.0);
             let (state, evaluations) = run();
-            let time = quickest(options, || {
+            let time = shortest_ns(options, || {
                 std::hint::black_box(run());
             });
             settings.push(Setting {
@@ -85,7 +85,7 @@ fn on_tops(options: &Options, progress: Progress) -> Vec<Setting> {
 
 fn in_flight(options: &Options, progress: Progress) -> Result<Vec<Setting>, InputError> {
     let replay = Replay::fly()?;
-    // Each kind is judged by the other.
+    // Fixed steps are judged by the adaptive method, and the adaptive method by fixed steps.
     let (for_fixed, _) = replay.adaptive(REFERENCE_TOLERANCE);
     let for_adaptive = replay.fixed(Fixed::Rkmk4, REFERENCE_STEPS);
     let worst = |states: &[State], reference: &[State]| {
@@ -98,7 +98,7 @@ fn in_flight(options: &Options, progress: Progress) -> Result<Vec<Setting>, Inpu
     for method in Fixed::ALL {
         for &steps in fixed {
             let error = worst(&replay.fixed(method, steps), &for_fixed);
-            let time = quickest(options, || {
+            let time = shortest_ns(options, || {
                 std::hint::black_box(replay.fixed(method, steps));
             });
             settings.push(Setting {
@@ -113,7 +113,7 @@ fn in_flight(options: &Options, progress: Progress) -> Result<Vec<Setting>, Inpu
     for &power in if options.quick { &[-6, -10][..] } else { &[-4, -6, -8, -10, -12][..] } {
         let run = || replay.adaptive(libm::pow(10.0, f64::from(power)));
         let (states, evaluations) = run();
-        let time = quickest(options, || {
+        let time = shortest_ns(options, || {
             std::hint::black_box(run());
         });
         settings.push(Setting {
@@ -133,32 +133,32 @@ fn in_flight(options: &Options, progress: Progress) -> Result<Vec<Setting>, Inpu
 /// Runs the study.
 ///
 /// # Errors
-/// The scene that it flies cannot be read.
+/// The built-in scene `steps` cannot be read; this does not happen.
 pub fn study(options: &Options, progress: Progress) -> Result<Study, InputError> {
     let mut settings = on_tops(options, progress);
     settings.extend(in_flight(options, progress)?);
     Ok(Study {
         name: "integrator",
         title: "Integrating the vehicle's motion",
-        about: "The error is the angle between the attitude that a method arrives at and the true one: of a free \
-                asymmetric top after 10 s, and of the vehicle in flight the worst of 16 looks, one a second."
+        about: "The error is the angle between the computed and the true attitude: for a free asymmetric top after 10 s, \
+                and for the vehicle in flight the largest of 16 comparisons, one a second."
             .into(),
-        reference: "The top: Jacobi's elliptic functions for the rates, a quadrature for the precession; no \
-                    differential equation is solved. The flight: the commands to the rotors as flown; fixed steps \
-                    are judged by Dormand-Prince with a tolerance of 1e-13, Dormand-Prince by RKMK4 with 1/8 ms, and \
-                    the two agree to 1e-11 rad."
+        reference: "The top: Jacobi's elliptic functions for the rates and a quadrature for the precession; no \
+                    differential equation is solved. The flight: the commands to the rotors as flown. Fixed steps are \
+                    judged by Dormand-Prince with a tolerance of 1e-13, and Dormand-Prince by RKMK4 with steps of 1/8 ms. \
+                    The two agree to 1e-11 rad."
             .into(),
         per: "a simulated second",
         axis: Axis::Host,
         axis_title: "time on this machine, ns per simulated second",
         settings,
         remarks: vec![
-            "No method gets better than rounding lets it: 1e-12 rad in 10 s, and some 1e-9 for the top about its \
-             intermediate axis. There the period hangs on by how much the momentum exceeds that of the separatrix, a \
-             millionth of it, and rounding counts a million times."
+            "Rounding limits every method: to 1e-12 rad in 10 s, and to about 1e-9 for the top about its intermediate axis. \
+             There the period depends on how much the momentum exceeds that of the separatrix, which is a millionth of it, so \
+             that rounding is amplified a million times."
                 .into(),
-            "In flight a step can be no longer than the millisecond between two commands, and an adaptive method \
-             has to begin anew at each of them: what makes it the best for a free body is of no use there."
+            "In flight a step cannot be longer than the millisecond between two commands, and an adaptive method must \
+             restart at each command. So its advantage for a free body does not exist in flight."
                 .into(),
         ],
     })
@@ -168,10 +168,11 @@ pub fn study(options: &Options, progress: Progress) -> Result<Study, InputError>
 mod tests {
     use super::*;
 
-    /// The order from the errors of two step lengths, a factor of two apart.
+    /// Returns the convergence order from the errors of two step lengths, a factor of two apart: the median of the
+    /// tops.
     fn order(method: Fixed, steps: u32) -> f64 {
         let mut orders = top::tops().map(|(_, top)| {
-            let error = |steps| angle(&followed(&top, method, steps), &top.at(SECONDS));
+            let error = |steps| angle(&integrated(&top, method, steps), &top.at(SECONDS));
             libm::log2(error(steps) / error(2 * steps))
         });
         orders.sort_by(f64::total_cmp);
@@ -180,7 +181,7 @@ mod tests {
     }
 
     #[test]
-    fn the_adaptive_method_arrives_where_it_says() {
+    fn adaptive_method_reaches_the_end_state() {
         for (name, top) in top::tops() {
             let (state, _) = dormand_prince(&top, (0.0, SECONDS), &top.at(0.0), 1e-10, 0.0);
             let error = angle(&state, &top.at(SECONDS));
@@ -189,7 +190,7 @@ mod tests {
     }
 
     #[test]
-    fn the_orders_are_those_of_the_textbook() {
+    fn convergence_orders_match_the_textbook() {
         for (method, steps, expected) in
             [(Fixed::SemiImplicitEuler, 20_000, 1.0), (Fixed::Rk4, 2_000, 4.0), (Fixed::Rkmk4, 2_000, 4.0)]
         {

@@ -1,12 +1,12 @@
-//! A whole flight, integrated anew.
+//! A flight whose motion is integrated again by other methods.
 //!
-//! The scene `steps` is flown in closed loop; between its take-off and its landing the commands to the rotors
-//! are written down, and the truth at the start. From there every method integrates the same motion under the
-//! same commands: 16 s with doublets of 30° in roll and in pitch and a yaw pulse. The equations are written
-//! out here once more, apart from [`sim_host::dynamics`]: a test holds the two against each other.
+//! The scene `steps` is flown in closed loop. Between take-off and landing the commands to the rotors are recorded, and
+//! the truth at the start. From there every method integrates the same motion with the same commands: 16 s with
+//! doublets of 30° in roll and in pitch and a yaw pulse. The equations are written here a second time, independently of
+//! [`sim_host::dynamics`]; a test compares the two.
 //!
-//! The commands change every millisecond, and with them the rotors' accelerations: a step can be no longer,
-//! and an adaptive method has to begin anew at each.
+//! The commands, and with them the rotors' accelerations, change every millisecond. So a step cannot be longer, and an
+//! adaptive method must restart at each command.
 
 use flight_core::geometry::{Quaternion, Vec3, vec3};
 
@@ -16,20 +16,20 @@ use sim_host::dynamics::{GRAVITY, State, VehicleParams};
 use sim_host::flight::{Flight, Observer, STEP_US, StepView};
 use sim_host::scene::Scene;
 
-/// The scene, and the part of it that is integrated, s.
+/// The scene, and the start and end of the part that is integrated, s.
 const SCENE: &str = "steps";
 const FROM_S: f64 = 13.0;
 const TO_S: f64 = 29.0;
 /// Time between two commands, s.
 pub const INTERVAL_S: f64 = STEP_US as f64 * 1e-6;
-/// Intervals between two looks at the error: a second.
-const LOOK: usize = 1000;
+/// Intervals between two comparisons: a second.
+const COMPARISON_INTERVALS: usize = 1000;
 
-/// What the two references take: tolerance of Dormand and Prince, steps of RKMK4 in a millisecond.
+/// Settings of the two references: tolerance of Dormand-Prince, and steps of RKMK4 in a millisecond.
 pub const REFERENCE_TOLERANCE: f64 = 1e-13;
 pub const REFERENCE_STEPS: u32 = 8;
 
-/// The flight's commands, and where it was when they began.
+/// The commands of a flight, and the state at their start.
 pub struct Replay {
     params: VehicleParams,
     drag: Vec3<f64>,
@@ -37,22 +37,22 @@ pub struct Replay {
     start: State,
     rotors: [f64; 4],
     commands: Vec<[f64; 4]>,
-    /// Where the vehicle was in the flight itself, second by second.
+    /// States in the flight itself, one a second.
     pub flown: Vec<State>,
 }
 
-struct Writer {
+struct ReplayRecorder {
     max_rad_s: f64,
     replay: Replay,
     steps: usize,
 }
 
-impl Observer for Writer {
+impl Observer for ReplayRecorder {
     fn step(&mut self, view: &StepView) {
         let at_s = view.time_us as f64 * 1e-6;
         if !(FROM_S - 1e-9..TO_S - 1e-9).contains(&at_s) {
-            // The step behind the last ends the last second.
-            if self.steps > 0 && self.replay.flown.len() < self.steps / LOOK {
+            // The step after the last one gives the state at the end of the last second.
+            if self.steps > 0 && self.replay.flown.len() < self.steps / COMPARISON_INTERVALS {
                 self.replay.flown.push(*view.truth);
             }
             return;
@@ -60,7 +60,7 @@ impl Observer for Writer {
         if self.steps == 0 {
             self.replay.start = *view.truth;
             self.replay.rotors = view.rotors_rad_s;
-        } else if self.steps.is_multiple_of(LOOK) {
+        } else if self.steps.is_multiple_of(COMPARISON_INTERVALS) {
             self.replay.flown.push(*view.truth);
         }
         let speed = |us: f32| self.max_rad_s * ((f64::from(us) - 1000.0) * 1e-3).clamp(0.0, 1.0);
@@ -70,13 +70,13 @@ impl Observer for Writer {
 }
 
 impl Replay {
-    /// Flies the scene and writes it down.
+    /// Flies the scene and records its commands.
     ///
     /// # Errors
-    /// The scene is not what this file takes it for.
+    /// The built-in scene cannot be read.
     pub fn fly() -> Result<Self, InputError> {
         let scene = Scene::load(SCENE)?;
-        let mut writer = Writer {
+        let mut recorder = ReplayRecorder {
             max_rad_s: scene.vehicle.max_rad_s,
             replay: Self {
                 params: scene.vehicle,
@@ -94,32 +94,32 @@ impl Replay {
             },
             steps: 0,
         };
-        Flight::new(&scene, scene.seed).run(&mut writer);
-        Ok(writer.replay)
+        Flight::new(&scene, scene.seed).run(&mut recorder);
+        Ok(recorder.replay)
     }
 
-    /// Seconds that are integrated.
+    /// Returns the time that is integrated, s.
     pub fn seconds(&self) -> f64 {
         self.commands.len() as f64 * INTERVAL_S
     }
 
-    /// Goes through the intervals, each with its own zero of time at its start, and returns the state at the end
-    /// of each second.
+    /// Advances through all intervals and returns the state at the end of each second. In each interval, time starts at
+    /// zero.
     fn through(&self, mut advance: impl FnMut(&Interval, &State) -> State) -> Vec<State> {
         let (mut state, mut rotors) = (self.start, self.rotors);
-        let mut looks = Vec::with_capacity(self.commands.len() / LOOK);
+        let mut compared = Vec::with_capacity(self.commands.len() / COMPARISON_INTERVALS);
         for (k, &wanted) in self.commands.iter().enumerate() {
             let interval = Interval { replay: self, rotors, wanted };
             state = advance(&interval, &state);
             rotors = interval.rotors_at(INTERVAL_S);
-            if (k + 1).is_multiple_of(LOOK) {
-                looks.push(state);
+            if (k + 1).is_multiple_of(COMPARISON_INTERVALS) {
+                compared.push(state);
             }
         }
-        looks
+        compared
     }
 
-    /// With so many steps of a fixed method in each interval.
+    /// Integrates with `steps` steps of a fixed method in each interval.
     pub fn fixed(&self, method: Fixed, steps: u32) -> Vec<State> {
         let h = INTERVAL_S / f64::from(steps);
         self.through(|interval, state| {
@@ -127,15 +127,15 @@ impl Replay {
         })
     }
 
-    /// With Dormand and Prince's method, and how many evaluations it took.
+    /// Integrates with the Dormand-Prince method; also returns the number of evaluations.
     pub fn adaptive(&self, tolerance: f64) -> (Vec<State>, u32) {
         let mut evaluations = 0;
-        let looks = self.through(|interval, state| {
+        let compared = self.through(|interval, state| {
             let (state, count) = dormand_prince(interval, (0.0, INTERVAL_S), state, tolerance, INTERVAL_S);
             evaluations += count;
             state
         });
-        (looks, evaluations)
+        (compared, evaluations)
     }
 }
 
@@ -154,7 +154,7 @@ impl Interval<'_> {
 }
 
 impl Motion for Interval<'_> {
-    /// Eqs 8-14 with body rates, as the page on the paper has them: signs of eqs 4-7.
+    /// Eqs 8-14 with body rates, as in docs/paper.md, with the signs of eqs 4-7.
     #[inline]
     fn accelerations(&self, t_s: f64, state: &State) -> (Vec3<f64>, Vec3<f64>) {
         let Replay { params: p, drag, .. } = self.replay;
@@ -184,26 +184,27 @@ mod tests {
 
     fn apart(a: &[State], b: &[State]) -> (f64, f64) {
         assert_eq!(a.len(), b.len());
-        a.iter().zip(b).fold((0.0, 0.0), |(angle, place), (a, b)| {
+        a.iter().zip(b).fold((0.0, 0.0), |(angle, position), (a, b)| {
             let error = AttitudeError::between(a.attitude, b.attitude).total_rad;
-            (f64::max(angle, error), f64::max(place, (a.position - b.position).norm()))
+            (f64::max(angle, error), f64::max(position, (a.position - b.position).norm()))
         })
     }
 
     #[test]
-    fn the_equations_are_the_vehicles() {
+    fn equations_match_those_of_the_simulator() {
         let replay = Replay::fly().unwrap();
         assert_eq!((replay.commands.len(), replay.flown.len()), (16_000, 16));
-        // The same method with the same step: what is left is rounding, and the rotors' lag in another order.
-        let (angle, place) = apart(&replay.fixed(Fixed::Rk4, 1), &replay.flown);
-        assert!(angle < 1e-10 && place < 1e-9, "{angle} rad, {place} m");
+        // The method and the step are the same. What differs is rounding, and the order in which the rotors' lag is
+        // computed.
+        let (angle, position) = apart(&replay.fixed(Fixed::Rk4, 1), &replay.flown);
+        assert!(angle < 1e-10 && position < 1e-9, "{angle} rad, {position} m");
     }
 
     #[test]
-    fn the_reference_is_confirmed_by_another_method() {
+    fn reference_is_confirmed_by_another_method() {
         let replay = Replay::fly().unwrap();
         let (reference, _) = replay.adaptive(REFERENCE_TOLERANCE);
-        let (angle, place) = apart(&replay.fixed(Fixed::Rkmk4, REFERENCE_STEPS), &reference);
-        assert!(angle < 1e-11 && place < 1e-10, "{angle} rad, {place} m");
+        let (angle, position) = apart(&replay.fixed(Fixed::Rkmk4, REFERENCE_STEPS), &reference);
+        assert!(angle < 1e-11 && position < 1e-10, "{angle} rad, {position} m");
     }
 }

@@ -1,10 +1,9 @@
-//! The figures of `studies/src/cost/m4.toml`, measured anew.
+//! Measures the figures of `studies/src/cost/m4.toml` and compares them with the file.
 //!
-//! Instructions are means over a figure's inputs, of calls out of line. Flash is the code of the function that is
-//! called and of all that it calls, in full even where others use it too, with the numbers that stand in it:
-//! what it would take alone. What sets it up is not in it, nor are tables elsewhere, nor what reports a panic.
-//!
-//! To write the file anew after a change:
+//! Instructions are means over a figure's inputs, of calls that are not inlined. Flash is the code of the called
+//! function and of all functions that it calls, including their literals: the size that it would have alone, counted in
+//! full even if other code shares it. Setup code, tables elsewhere and the code that reports a panic are not included.
+//! To write the file again after a change:
 //! `KESTREL_WRITE_DOCS=1 cargo test -p image-tests --test emulated_board figures -- --ignored`.
 
 use std::collections::BTreeMap;
@@ -15,24 +14,24 @@ use crate::{alternatives_image, board_image, fresh_directory, run, workspace};
 use image_tests::image::Image;
 use image_tests::program::Program;
 
-/// Where it is.
+/// Path of the file in the workspace.
 const FILE: &str = "studies/src/cost/m4.toml";
 
-/// How far a figure may rise before the test fails, and fall before it says so: this share of it,
+/// Allowed change: above this share the test fails if a figure rises, and prints a note if it falls.
 const TOLERANCE: f64 = 0.05;
-/// or these many instructions of four bytes, by which a call's moves between registers change with the code
+/// The allowed change is at least this many instructions of four bytes: a call's register moves depend on the code
 /// around it.
 const TOLERANCE_INSTRUCTIONS: f64 = 4.0;
 
-/// Stages of the flight code that the studies take from the image `icount`.
+/// Stages of the flight code whose figures the studies take from the image `icount`.
 const STAGES: [&str; 4] = ["calibration of 3 sensors", "sticks", "control", "mixer and ESC"];
 
-/// `instructions`, and `flash_bytes` of what has code of its own.
+/// Units and values: `instructions`, and `flash_bytes` for what has code of its own.
 type Figure = Vec<(&'static str, f64)>;
 
 #[test]
 #[ignore = "needs qemu-system-arm"]
-fn figures_of_the_alternatives_are_those_of_the_file() {
+fn figures_of_the_alternatives_equal_the_file() {
     let measured = measure();
     let path = workspace().join(FILE);
     if std::env::var_os("KESTREL_WRITE_DOCS").is_some() {
@@ -55,19 +54,23 @@ fn figures_of_the_alternatives_are_those_of_the_file() {
             if change > tolerance {
                 risen.push(format!("{name}: {now} {unit}, and the file has {then}"));
             } else if change < -tolerance {
-                println!("{name}: the file is out of date: write it anew with KESTREL_WRITE_DOCS=1");
+                println!("{name}: the file is out of date: update it with KESTREL_WRITE_DOCS=1");
             }
         }
         assert!(file.is_empty(), "{FILE}: nothing measures {file:?} of {name}");
     }
     assert!(committed.is_empty(), "{FILE}: nothing measures {committed:?}");
-    assert!(risen.is_empty(), "risen; KESTREL_WRITE_DOCS=1 writes it down:\n{}", risen.join("\n"));
+    assert!(
+        risen.is_empty(),
+        "figures have risen; KESTREL_WRITE_DOCS=1 updates the file:\n{}",
+        risen.join("\n")
+    );
 }
 
 fn text(figures: &[(String, Figure)]) -> String {
     let mut text = String::from(
-        "# What things take on the emulated Cortex-M4F: instructions, the mean over their inputs, and bytes of flash.
-# Written by a test, which says how they are measured: tests/image/tests/emulated_board/figures.rs.
+        "# Costs on the emulated Cortex-M4F: mean number of instructions over the inputs, and bytes of flash.
+# Written by a test, which documents how they are measured: tests/image/tests/emulated_board/figures.rs.
 ",
     );
     for (name, figure) in figures {
@@ -79,7 +82,7 @@ fn text(figures: &[(String, Figure)]) -> String {
     text
 }
 
-/// All figures, in the order of the file.
+/// Measures all figures, in the order of the file.
 fn measure() -> Vec<(String, Figure)> {
     let path = alternatives_image();
     let output = run(&path, &fresh_directory("alternatives"));
@@ -93,7 +96,7 @@ fn measure() -> Vec<(String, Figure)> {
     let mut figures = Vec::new();
     for (name, mean, _) in counts(&output) {
         let Some(&start) = codes.get(name.as_str()) else {
-            // The counter reads a thousand instructions as a thousand.
+            // The counter must count a thousand instructions as a thousand.
             assert_eq!((name.as_str(), mean), ("1000 nops", 1_000.0));
             continue;
         };
@@ -107,33 +110,33 @@ fn measure() -> Vec<(String, Figure)> {
         figures.push((name, vec![instructions(mean)]));
     }
     let flight = run(&board_image("firmware"), &fresh_directory("figures-firmware"));
-    for (name, mean, most) in counts(&flight) {
+    for (name, mean, max) in counts(&flight) {
         figures.push((format!("{name} mean"), vec![instructions(mean)]));
-        figures.push((format!("{name} worst"), vec![instructions(most)]));
+        figures.push((format!("{name} worst"), vec![instructions(max)]));
     }
     figures
 }
 
-/// To a tenth.
+/// Returns an instruction count rounded to a tenth.
 fn instructions(count: f64) -> (&'static str, f64) {
     ("instructions", (10.0 * count).round() / 10.0)
 }
 
-/// Name, mean and most of each line `icount,<name>,<inputs>,<instructions in all>,<most>`.
+/// Parses name, mean and maximum of each line `icount,<name>,<inputs>,<total instructions>,<maximum>`.
 fn counts(output: &str) -> Vec<(String, f64, f64)> {
     let lines = output.lines().filter_map(|line| line.strip_prefix("icount,"));
     lines
         .map(|line| {
-            let [name, inputs, total, most] = line.split(',').collect::<Vec<_>>()[..] else {
+            let [name, inputs, total, max] = line.split(',').collect::<Vec<_>>()[..] else {
                 panic!("{line}")
             };
             let number = |digits: &str| digits.parse::<f64>().unwrap();
-            (name.to_owned(), number(total) / number(inputs), number(most))
+            (name.to_owned(), number(total) / number(inputs), number(max))
         })
         .collect()
 }
 
-/// Bytes of the function at `start` and of all that it calls.
+/// Returns the bytes of the function at `start` and of all functions that it calls.
 fn code_bytes(image: &Image, program: &Program, start: u32) -> Result<u32, String> {
     let panics = |function: u32| image.name(function).starts_with("core::panicking::");
     let reached = program.reached(start, panics)?;

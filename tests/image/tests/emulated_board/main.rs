@@ -1,7 +1,7 @@
-//! The firmware on an emulated STM32F405: what it computes, and how many instructions that takes.
+//! The firmware on QEMU's STM32F405: its results, and the number of instructions.
 //!
-//! The tests build the images of QEMU's `netduinoplus2` and run them with `-icount`, which ties the emulator's
-//! time to executed instructions: every run is the same, on every machine.
+//! The tests build the images for the QEMU machine `netduinoplus2` and run them with `-icount`, which ties QEMU's
+//! time to executed instructions: every run is the same on every machine.
 
 mod figures;
 
@@ -34,28 +34,28 @@ fn five_seconds_on_the_board_equal_the_host_bit_for_bit() {
 
     let host = steps_on_the_host();
     for (slot, (board, host)) in board.iter().zip(&host).enumerate() {
-        assert_eq!(board, host, "slot {slot}: the board's words, and the host's");
+        assert_eq!(board, host, "slot {slot}: words of the board and of the host");
     }
 
-    // The table is worth comparing: it flies, stops, and misses samples.
+    // The input table covers the cases: it flies, stops, and misses samples.
     let driven = host.iter().filter(|words| words[1] == 1).count();
     assert!((1_500..2_500).contains(&driven), "driven in {driven} steps");
-    assert_eq!(host.last().unwrap()[1], 0, "the lost sensor stops the motors");
+    assert_eq!(host.last().unwrap()[1], 0, "the sensor loss stops the motors");
     let pulses: BTreeSet<u32> = host.iter().flat_map(|words| words[2..6].to_vec()).collect();
     assert!(pulses.len() > 3_000, "{} different pulses", pulses.len());
-    println!("{STEPS} steps of {WORDS_PER_STEP} words are the same, {driven} of them with the motors driven");
+    println!("{STEPS} steps of {WORDS_PER_STEP} words are equal, {driven} of them with the motors driven");
 
     let line = output.lines().find_map(|line| line.strip_prefix("icount,sample to motors,")).expect(&output);
-    let [steps, total, most] = line.split(',').map(|n| n.parse::<u32>().unwrap()).collect::<Vec<_>>()[..]
+    let [steps, total, max] = line.split(',').map(|n| n.parse::<u32>().unwrap()).collect::<Vec<_>>()[..]
     else {
         panic!("{line}")
     };
-    println!("sample to motors: {steps} steps, mean {} instructions, most {most}", total / steps);
+    println!("sample to motors: {steps} steps, mean {} instructions, maximum {max}", total / steps);
     assert!(steps > 4_500);
-    image_tests::budget("instructions", "sample to motors", most);
+    image_tests::budget("instructions", "sample to motors", max);
 }
 
-/// The same table, stepped here.
+/// Returns the words for the same input table, computed on the host.
 fn steps_on_the_host() -> Vec<Words> {
     let mut controller = FlightController::new(&fixed_input::config()).unwrap();
     (0..STEPS)
@@ -68,7 +68,7 @@ fn steps_on_the_host() -> Vec<Words> {
         .collect()
 }
 
-/// The stages that have a budget.
+/// The stages with an instruction budget.
 const STAGES: [&str; 13] = [
     "calibration of 3 sensors",
     "9 prefilters",
@@ -82,13 +82,13 @@ const STAGES: [&str; 13] = [
     "4 DShot frames",
     "sticks",
     "step in flight 9-axis every time",
-    // Everything at once that a flight can bring, and what the ground adds to it.
+    // Everything that can coincide in flight, and what is added on the ground.
     "step",
 ];
 
 #[test]
 #[ignore = "needs qemu-system-arm"]
-fn every_estimator_equals_the_host_and_the_chain_stays_within_its_instructions() {
+fn estimators_equal_the_host_and_stages_keep_their_budgets() {
     let output = run(&board_image("icount"), &fresh_directory("icount"));
     let mut counts = BTreeMap::new();
     let mut digests = BTreeMap::new();
@@ -102,26 +102,26 @@ fn every_estimator_equals_the_host_and_the_chain_stays_within_its_instructions()
             digests.insert(preset.to_owned(), digest.parse::<u32>().unwrap());
             continue;
         }
-        let ["icount", stage, inputs, total, most] = fields[..] else { panic!("{line}") };
+        let ["icount", stage, inputs, total, max] = fields[..] else { panic!("{line}") };
         let mean = total.parse::<f64>().unwrap() / inputs.parse::<f64>().unwrap();
-        println!("{stage:34} {inputs:>7} {mean:8.1} {most:>6}");
-        counts.insert(stage.to_owned(), (inputs.parse::<u32>().unwrap(), mean, most.parse::<u32>().unwrap()));
+        println!("{stage:34} {inputs:>7} {mean:8.1} {max:>6}");
+        counts.insert(stage.to_owned(), (inputs.parse::<u32>().unwrap(), mean, max.parse::<u32>().unwrap()));
     }
     let host = EstimatorParams::PRESETS
         .map(|(name, preset)| (name.to_owned(), fixed_input::attitudes_digest(&preset).unwrap()));
     assert_eq!(digests, BTreeMap::from(host));
 
-    // The counter reads a thousand instructions as a thousand.
+    // The counter must count a thousand instructions as a thousand.
     assert_eq!(counts["1000 nops"], (1_024, 1_000.0, 1_000));
-    // No number is slower than another one.
-    let (_, mean, most) = counts["8 biquads down a tail"];
-    assert_eq!(mean, f64::from(most));
+    // The time does not depend on the numbers, denormals included.
+    let (_, mean, max) = counts["8 biquads down a tail"];
+    assert_eq!(mean, f64::from(max));
     for stage in STAGES {
-        let (inputs, _, most) = counts[stage];
+        let (inputs, _, max) = counts[stage];
         assert!(inputs >= 1_024, "{stage}: {inputs} inputs");
-        image_tests::budget("instructions", stage, most);
+        image_tests::budget("instructions", stage, max);
     }
-    // From the counts of the converters to the pulses of the ESCs, every sensor in every step.
+    // From the converters' counts to the ESCs' pulses, with every sensor in every step.
     for (name, estimator) in
         [("chain of paper", "estimator paper 9-axis"), ("chain of flight", "estimator flight 9-axis")]
     {
@@ -130,13 +130,13 @@ fn every_estimator_equals_the_host_and_the_chain_stays_within_its_instructions()
     }
 }
 
-/// The image of this name: builds all of the emulated board's, once.
+/// Returns the QEMU image of this name. All of them are built once.
 fn board_image(name: &str) -> PathBuf {
     static BUILT: OnceLock<PathBuf> = OnceLock::new();
     BUILT.get_or_init(|| build(&["build-qemu"])).join(name)
 }
 
-/// The image that measures what the flight code is compared with, which takes more crates.
+/// Builds the image that measures the alternatives to the flight code, which needs more crates.
 fn alternatives_image() -> PathBuf {
     let features = ["--no-default-features", "--features", "alternatives", "--bin", "alternatives"];
     let target = ["--target", "thumbv7em-none-eabihf"];
@@ -144,8 +144,8 @@ fn alternatives_image() -> PathBuf {
         .join("alternatives")
 }
 
-/// Runs cargo, in a target directory of its own since the outer build's is locked, and returns where the images
-/// are.
+/// Runs cargo in a separate target directory, because the outer build holds the lock of its own, and returns the
+/// directory of the images.
 fn build(arguments: &[&str]) -> PathBuf {
     let target = Path::new(env!("CARGO_TARGET_TMPDIR")).join("emulated-board");
     let status = Command::new(env::var_os("CARGO").as_deref().unwrap_or(OsStr::new("cargo")))
@@ -175,7 +175,7 @@ fn fresh_directory(name: &str) -> PathBuf {
     directory
 }
 
-/// Runs an image to its end, in `directory`, and returns what it printed.
+/// Runs an image to its end in `directory`, and returns its output.
 fn run(image: &Path, directory: &Path) -> String {
     let accesses = directory.join("accesses.log");
     let emulator = Command::new("qemu-system-arm")
@@ -195,21 +195,21 @@ fn run(image: &Path, directory: &Path) -> String {
     let mut emulator = KilledOnDrop(emulator);
     let mut printed = String::new();
     emulator.0.stdout.take().unwrap().read_to_string(&mut printed).unwrap();
-    let mut said = String::new();
-    emulator.0.stderr.take().unwrap().read_to_string(&mut said).unwrap();
+    let mut errors = String::new();
+    emulator.0.stderr.take().unwrap().read_to_string(&mut errors).unwrap();
     let status = emulator.0.wait().unwrap();
-    assert!(status.success(), "{status}\n{printed}{said}");
-    // What the emulator does not model reads as zero: an image that relies on it proves nothing.
+    assert!(status.success(), "{status}\n{printed}{errors}");
+    // Registers that QEMU does not model read as zero: an image that uses one proves nothing.
     let accesses = fs::read_to_string(accesses).unwrap_or_default();
     assert!(accesses.is_empty(), "accesses that the emulator does not model:\n{accesses}");
-    printed + &said
+    printed + &errors
 }
 
 struct KilledOnDrop(Child);
 
 impl Drop for KilledOnDrop {
     fn drop(&mut self) {
-        // An error means that it has ended, which is all that is wanted.
+        // An error means that the process has already ended.
         let _ = self.0.kill();
         let _ = self.0.wait();
     }

@@ -1,18 +1,18 @@
-//! Whether each handler takes its interrupt down before it returns.
+//! Checks that each handler acknowledges its interrupt before it returns.
 //!
-//! A peripheral's interrupt is a level or a latch of its own: while it is up, a handler that returns is entered again
-//! at once, and no task of its priority or a lower one runs. [`SOURCES`] says for each vector which accesses to
-//! registers take it down. From the handler's first instruction every path is followed, into the functions that are
-//! called too, with what is known of the registers' values ([`crate::values`]), until the accesses have been seen in
-//! their order. A path that gets to the handler's return before is an error.
+//! A peripheral's interrupt is a level or a latch: while it is set, a handler that returns is entered again at once,
+//! and no task of its priority or a lower one runs. [`SOURCES`] lists for each vector the accesses to registers that
+//! clear it. From the handler's first instruction every path is followed, also into called functions, with the known
+//! values of the registers ([`crate::values`]), until the accesses have occurred in their order. A path that reaches
+//! the handler's return earlier is an error.
 //!
 //! # What this does not show
-//! - That the value written is right, if it is not a constant: a handler may write back the flags that it has read.
-//! - That the source stays down: it may rise again, which is what it is for.
+//! - That the written value is right, if it is not a constant: a handler may write back the flags that it has read.
+//! - That the source stays cleared: it may be set again by the next event.
 //! - Paths that never return: an endless loop, a panic.
-//! - Writes through the bits' alias (0x4200_0000) or by DMA. They are not seen, and so the check refuses.
+//! - Writes through the bit-band alias (0x4200_0000) or by DMA. They are not seen, so the check refuses such a handler.
 //!
-//! Calls by a register are taken to acknowledge nothing and to come back.
+//! A call by a register is assumed to acknowledge nothing and to return.
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
@@ -21,21 +21,21 @@ use image_tests::function::{Listing, jump_table, listing};
 use image_tests::image::Image;
 use image_tests::thumb::Flow;
 
-/// What takes a vector's interrupt down.
+/// How a vector's interrupt is acknowledged.
 pub enum Source {
-    /// These accesses by the handler, in this order.
+    /// By these accesses of the handler, in this order.
     Acknowledged {
         by: &'static [Step],
-        /// A path on which this was seen owes nothing.
+        /// A path on which this flag was read as zero needs no acknowledgement.
         unless: Option<NotAsserted>,
     },
-    /// Nothing: and why nothing need.
+    /// No acknowledgement is needed; the text gives the reason.
     ByItself(&'static str),
-    /// Nothing, because the handler does not return; that is checked.
+    /// No acknowledgement, because the handler does not return, which is checked.
     NeverReturns(&'static str),
 }
 
-/// An access that is part of taking an interrupt down.
+/// An access that is part of an acknowledgement.
 #[derive(Clone, Copy)]
 pub struct Step {
     pub register: &'static str,
@@ -46,13 +46,13 @@ pub struct Step {
 #[derive(Clone, Copy)]
 pub enum Kind {
     Read,
-    /// A one in these bits takes the flag down.
+    /// Ones in these bits clear the flag.
     WriteOnes(u32),
-    /// A zero in these bits does.
+    /// Zeros in these bits clear the flag.
     WriteZeros(u32),
 }
 
-/// A flag that was read as zero: the source was not up.
+/// A flag that was read as zero: the interrupt was not asserted.
 #[derive(Clone, Copy)]
 pub struct NotAsserted {
     pub address: u32,
@@ -72,14 +72,11 @@ pub const SOURCES: [(&str, Source); 10] = [
     ("CRYP", Source::ByItself("software pends it; the F405 has no such peripheral")),
     ("DCMI", Source::ByItself("software pends it; the F405 has no such peripheral")),
     ("HASH_RNG", Source::ByItself("software pends it; the random number generator is off")),
-    (
-        "SysTick",
-        Source::ByItself("an exception of the processor, which is no longer pending once it is entered"),
-    ),
+    ("SysTick", Source::ByItself("an exception of the processor, no longer pending once it is entered")),
     (
         "DMA2_STREAM0",
         Source::Acknowledged {
-            // The flag of a complete transfer. That of an error goes with the same write, or with another one.
+            // The flag of a complete transfer. The error flag is cleared by the same write or by another one.
             by: &[step("DMA2_LIFCR", 0x4002_6408, Kind::WriteOnes(1 << 5))],
             unless: None,
         },
@@ -120,23 +117,23 @@ impl Step {
             Kind::Read => format!("a read of {register} ({address:#010x})"),
             Kind::WriteOnes(bits) => format!("a write of {bits:#x} to {register} ({address:#010x})"),
             Kind::WriteZeros(bits) => {
-                format!("a write to {register} ({address:#010x}) that has no {bits:#x} in it")
+                format!("a write to {register} ({address:#010x}) with {bits:#x} clear")
             }
         }
     }
 }
 
-/// How deep calls may be nested on the way to the acknowledgement.
+/// Largest nesting of calls on the head to the acknowledgement.
 const DEEPEST: usize = 24;
-/// More places than this are not looked at: the handlers acknowledge within some dozens of instructions.
+/// Limit of the examined places; the handlers acknowledge within some dozens of instructions.
 const MAX_PLACES: usize = 1_000_000;
 
-/// What a path has done so far.
+/// The progress of a path.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 struct Progress {
-    /// It has accessed the peripheral. Such a path says more about what is wrong than one that has not.
+    /// Whether it has accessed the peripheral. Such a path explains an error better than one that has not.
     touched: bool,
-    /// Steps that are done.
+    /// Number of completed steps.
     steps: usize,
 }
 
@@ -151,9 +148,9 @@ struct Place {
     accesses: Vec<Access>,
 }
 
-/// A path under way: what comes next, and what is known there.
+/// The head of a path: the next instruction, and what is known there.
 #[derive(Clone)]
-struct Way {
+struct PathHead {
     at: u32,
     progress: Progress,
     registers: Registers,
@@ -161,12 +158,12 @@ struct Way {
     before: Option<usize>,
 }
 
-/// Where the ways from one instruction lead.
+/// The continuations of the paths after one instruction.
 #[derive(Default)]
-struct Ways {
-    within: Vec<Way>,
-    /// To the start of a function, and whether it is called (or jumped to, so that its return is this one's).
-    calls: Vec<(Way, bool)>,
+struct Continuations {
+    within: Vec<PathHead>,
+    /// Paths to the start of a function, and whether it is called; after a jump its return is this function's.
+    calls: Vec<(PathHead, bool)>,
     returns: Vec<(Progress, usize)>,
 }
 
@@ -178,25 +175,25 @@ struct Search<'a> {
     excused: bool,
 }
 
-/// What the acknowledgement was found by.
+/// The result of a successful check.
 #[derive(Debug, PartialEq)]
 pub struct Found {
-    /// Instructions that were looked at; one counts again if it was looked at again.
+    /// Examined instructions; an instruction counts again each time it is examined.
     pub instructions: usize,
-    /// A path was let pass because its flag was not up.
+    /// Whether a path was accepted because its flag was not asserted.
     pub excused: bool,
 }
 
 /// Follows every path of the handler called `name`.
 ///
 /// # Errors
-/// One of them returns without the accesses that take the interrupt down, or is not understood.
+/// A path returns without the acknowledging accesses, or cannot be analysed.
 pub fn check(image: &Image, name: &str, by: &[Step], unless: Option<NotAsserted>) -> Result<Found, String> {
     let start = image.find(name).ok_or(format!("{name} is not in the image"))?;
     let mut search = Search { image, steps: by, unless, places: Vec::new(), excused: false };
     let progress = Progress { touched: false, steps: 0 };
-    let way = Way { at: start, progress, registers: Registers::unknown(), before: None };
-    match search.function(way, 0)?.last_key_value() {
+    let head = PathHead { at: start, progress, registers: Registers::unknown(), before: None };
+    match search.function(head, 0)?.last_key_value() {
         None => Ok(Found { instructions: search.places.len(), excused: search.excused }),
         Some((progress, &place)) => {
             let missing = by[progress.steps].describe();
@@ -206,30 +203,30 @@ pub fn check(image: &Image, name: &str, by: &[Step], unless: Option<NotAsserted>
 }
 
 impl Search<'_> {
-    /// Follows all paths of the function at the way's end. Returns those that come back before the last step, one for
+    /// Follows all paths of the function at the path's head. Returns those that return before the last step, one for
     /// each progress, with the place of the return.
-    fn function(&mut self, way: Way, depth: usize) -> Result<BTreeMap<Progress, usize>, String> {
-        let start = way.at;
+    fn function(&mut self, head: PathHead, depth: usize) -> Result<BTreeMap<Progress, usize>, String> {
+        let start = head.at;
         if depth > DEEPEST {
             return Err(format!("{}: calls are nested too deep", self.image.name(start)));
         }
         let listing = listing(self.image, start);
         let mut returns = BTreeMap::new();
-        // What holds on all paths that get to an instruction with the same progress.
-        let mut known: BTreeMap<(u32, Progress), Way> = BTreeMap::new();
+        // What holds on all paths that reach an instruction with the same progress.
+        let mut known: BTreeMap<(u32, Progress), PathHead> = BTreeMap::new();
         let mut open = VecDeque::new();
         let mut waiting = BTreeSet::new();
-        let mut arrived = vec![way];
+        let mut arrived = vec![head];
         loop {
-            for way in arrived {
-                let key = (way.at, way.progress);
+            for head in arrived {
+                let key = (head.at, head.progress);
                 let is_new = match known.get_mut(&key) {
                     None => {
-                        known.insert(key, way);
+                        known.insert(key, head);
                         true
                     }
                     Some(before) => {
-                        let joined = before.registers.join(&way.registers);
+                        let joined = before.registers.join(&head.registers);
                         let is_new = joined != before.registers;
                         before.registers = joined;
                         is_new
@@ -241,35 +238,40 @@ impl Search<'_> {
             }
             let Some(key) = open.pop_front() else { break Ok(returns) };
             waiting.remove(&key);
-            let way = known[&key].clone();
-            let at = way.at;
+            let head = known[&key].clone();
+            let at = head.at;
             let fail = |why: &str| format!("{} at {at:#x}: {why}", self.image.name(start));
-            let mut ways = self.instruction(&listing, start, way).map_err(|why| fail(&why))?;
-            for (way, comes_back) in std::mem::take(&mut ways.calls) {
-                if !self.image.functions.contains_key(&way.at) {
+            let mut continuations = self.instruction(&listing, start, head).map_err(|why| fail(&why))?;
+            for (head, comes_back) in std::mem::take(&mut continuations.calls) {
+                if !self.image.functions.contains_key(&head.at) {
                     return Err(format!("{} at {at:#x}: goes to no function", self.image.name(start)));
                 }
-                let mut registers = way.registers.clone();
+                let mut registers = head.registers.clone();
                 registers.forget_volatile();
-                for (progress, place) in self.function(way, depth + 1)? {
+                for (progress, place) in self.function(head, depth + 1)? {
                     if comes_back {
                         let (registers, before) = (registers.clone(), Some(place));
-                        ways.within.push(Way { at: at + 4, progress, registers, before });
+                        continuations.within.push(PathHead { at: at + 4, progress, registers, before });
                     } else {
-                        ways.returns.push((progress, place));
+                        continuations.returns.push((progress, place));
                     }
                 }
             }
-            for (progress, place) in ways.returns {
+            for (progress, place) in continuations.returns {
                 returns.entry(progress).or_insert(place);
             }
-            arrived = ways.within;
+            arrived = continuations.within;
         }
     }
 
-    /// Executes the instruction at the way's end.
-    fn instruction(&mut self, listing: &Listing, start: u32, way: Way) -> Result<Ways, String> {
-        let Way { at, progress, registers, before } = way;
+    /// Executes the instruction at the path's head.
+    fn instruction(
+        &mut self,
+        listing: &Listing,
+        start: u32,
+        head: PathHead,
+    ) -> Result<Continuations, String> {
+        let PathHead { at, progress, registers, before } = head;
         let (instruction, condition) = match listing.get(&at) {
             Some((Ok(instruction), condition)) => (instruction, *condition),
             Some((Err(why), _)) => return Err((*why).into()),
@@ -281,16 +283,16 @@ impl Search<'_> {
         let here = self.places.len();
         let next = at + instruction.length;
         self.places.push(Place { before, function: start, at, next, accesses: Vec::new() });
-        let mut ways = Ways::default();
+        let mut continuations = Continuations::default();
 
         if let Some(condition) = condition {
-            // The lowest bit turns a condition round.
+            // The lowest bit inverts a condition.
             if !self.is_excuse(registers.bit_if(condition ^ 1)) {
                 let registers = registers.clone();
-                ways.within.push(Way { at: next, progress, registers, before: Some(here) });
+                continuations.within.push(PathHead { at: next, progress, registers, before: Some(here) });
             }
             if self.is_excuse(registers.bit_if(condition)) {
-                return Ok(ways);
+                return Ok(continuations);
             }
         }
 
@@ -302,23 +304,23 @@ impl Search<'_> {
             if self.steps[progress.steps].is_done_by(access) {
                 progress.steps += 1;
                 if progress.steps == self.steps.len() {
-                    // This path owes nothing more.
-                    return Ok(ways);
+                    // This path is complete.
+                    return Ok(continuations);
                 }
             }
         }
         self.places[here].accesses = accesses;
 
-        let to = |at| Way { at, progress, registers: after.clone(), before: Some(here) };
+        let to = |at| PathHead { at, progress, registers: after.clone(), before: Some(here) };
         let mut jumps = Vec::new();
         let half_word = |address| self.image.half_word(address).unwrap_or(0);
         match instruction.flow {
-            Flow::Next => ways.within.push(to(next)),
+            Flow::Next => continuations.within.push(to(next)),
             Flow::Jump(target) => jumps.push(target),
             Flow::Branch(target) => {
                 let taken = after.bit_if_taken(half_word(at), half_word(at + 2));
                 if !self.is_excuse(taken.map(BitRead::opposite)) {
-                    ways.within.push(to(next));
+                    continuations.within.push(to(next));
                 }
                 if !self.is_excuse(taken) {
                     jumps.push(target);
@@ -327,29 +329,29 @@ impl Search<'_> {
             Flow::JumpTable { entry } => {
                 jumps = jump_table(self.image, listing, next, entry);
                 if jumps.is_empty() {
-                    return Err("a jump table that is not understood".into());
+                    return Err("an unknown kind of jump table".into());
                 }
             }
-            Flow::Call(target) => ways.calls.push((to(target), true)),
+            Flow::Call(target) => continuations.calls.push((to(target), true)),
             Flow::CallRegister => {
-                let mut way = to(next);
-                way.registers.forget_volatile();
-                ways.within.push(way);
+                let mut head = to(next);
+                head.registers.forget_volatile();
+                continuations.within.push(head);
             }
-            Flow::JumpRegister | Flow::Return => ways.returns.push((progress, here)),
+            Flow::JumpRegister | Flow::Return => continuations.returns.push((progress, here)),
             Flow::Trap => {}
         }
         for target in jumps {
             if listing.contains_key(&target) {
-                ways.within.push(to(target));
+                continuations.within.push(to(target));
             } else {
-                ways.calls.push((to(target), false));
+                continuations.calls.push((to(target), false));
             }
         }
-        Ok(ways)
+        Ok(continuations)
     }
 
-    /// Whether this says that the source was not up, and the path owes nothing.
+    /// Returns whether this read shows that the interrupt was not asserted, so that the path needs no acknowledgement.
     fn is_excuse(&mut self, read: Option<BitRead>) -> bool {
         let is_excuse = self.unless.zip(read).is_some_and(|(unless, read)| {
             !read.set && (read.address, read.bit) == (unless.address, unless.bit)
@@ -358,12 +360,12 @@ impl Search<'_> {
         is_excuse
     }
 
-    /// Whether the access is to the peripheral of the first step: each has a kilobyte.
+    /// Returns whether the access is to the peripheral of the first step; each peripheral has a kilobyte.
     fn is_of_peripheral(&self, access: Access) -> bool {
         access.address() >> 10 == self.steps[0].address >> 10
     }
 
-    /// The path to its end: each stretch without a jump, and what it accesses in the peripheral.
+    /// Describes the path to its end: each stretch without a jump, and its accesses to the peripheral.
     fn describe(&self, place: usize) -> String {
         let mut path: Vec<&Place> =
             std::iter::successors(Some(&self.places[place]), |place| Some(&self.places[place.before?]))
@@ -384,7 +386,7 @@ impl Search<'_> {
             format!("  {:#010x} to {:#010x} {name}{accesses}", first.at, last.at)
         };
         let mut lines: Vec<String> = path.chunk_by(follows).map(line).collect();
-        // Where it leaves the other paths says more than the way to the return.
+        // The start, where the path leaves the others, explains more than the rest.
         const SHOWN: usize = 12;
         if lines.len() > SHOWN {
             let left_out = lines.len() - SHOWN;

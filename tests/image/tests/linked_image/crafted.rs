@@ -1,4 +1,4 @@
-//! The analysis on instructions and small programs of which the result is known: above all, what it must
+//! Tests of the analysis on instructions and small programs with known results, above all on those that it must
 //! refuse.
 
 use crate::{FORMATTED_DEPTH, check_free_of_panics, depth};
@@ -8,7 +8,7 @@ use image_tests::thumb::{Condition, Flow, Half, Stack, decode};
 
 #[test]
 fn instructions_that_move_sp_or_pc_are_decoded() {
-    // Addresses, codes and meaning as a disassembler has them.
+    // Addresses, codes and meaning as a disassembler shows them.
     for (address, first, second, length, flow, stack) in [
         (0x0801_0000, 0xf005, 0xfe2c, 4, Flow::Call(0x0801_5c5c), Stack::Keep), // bl
         (0x0801_005e, 0xf004, 0xbe11, 4, Flow::Jump(0x0801_4c84), Stack::Keep), // b.w
@@ -35,7 +35,7 @@ fn instructions_that_move_sp_or_pc_are_decoded() {
         (0, 0xf5ad, 0x6db8, 4, Flow::Next, Stack::Grow(1_472)),                 // sub.w sp, sp, #1472
         (0, 0xf50d, 0x6db8, 4, Flow::Next, Stack::Grow(-1_472)),                // add.w sp, sp, #1472
         (0, 0xf2ad, 0x4dbc, 4, Flow::Next, Stack::Grow(1_212)),                 // subw sp, sp, #1212
-        (0, 0xf380, 0x8808, 4, Flow::Next, Stack::BeginAnew),                   // msr msp, r0
+        (0, 0xf380, 0x8808, 4, Flow::Next, Stack::Reset),                       // msr msp, r0
         (0, 0xeef1, 0xfa10, 4, Flow::Next, Stack::Keep),                        // vmrs APSR_nzcv, fpscr
         (0, 0xfbb3, 0xf2f1, 4, Flow::Next, Stack::Keep),                        // udiv r2, r3, r1
     ] {
@@ -101,10 +101,10 @@ fn panics(functions: &[(&str, &[u16])]) -> Result<(), String> {
 }
 
 #[test]
-fn a_panic_is_found_behind_calls_and_jumps() {
+fn panic_is_found_through_calls_and_jumps() {
     let panic: (&str, &[u16]) = ("core::panicking::panic_fmt", &[FOREVER]);
     let called = [PUSH, CALL_NEXT[0], CALL_NEXT[1], POP];
-    // The middle one is left by a jump, which only one of its paths takes.
+    // The middle function is left by a jump that only one of its paths takes.
     let functions: [(&str, &[u16]); 3] = [("root", &called), ("middle", &[0xb900, RETURN]), panic];
     let found = panics(&functions).unwrap_err();
     assert_eq!(found, "a panic can be reached:\n  root\n  → middle\n  → core::panicking::panic_fmt");
@@ -115,36 +115,36 @@ fn a_panic_is_found_behind_calls_and_jumps() {
 }
 
 #[test]
-fn the_stack_adds_up_along_the_deepest_calls() {
-    // 8 pushed and 16 for variables, and the callee's 8 of floating point.
+fn stack_is_the_sum_along_the_deepest_calls() {
+    // 8 bytes pushed and 16 for variables, and 8 of the callee for floating point.
     let root = [PUSH, 0xb084, CALL_NEXT[0], CALL_NEXT[1] + 1, 0xb004, POP];
     let callee = [0xed2d, 0x8b02, 0xecbd, 0x8b02, RETURN];
     assert_eq!(stack(&[("root", &root), ("callee", &callee)]), Ok(8 + 16 + 8));
 
-    // After a call that does not come back there are other functions' instructions.
+    // After a call that does not return, other bytes may follow.
     assert_eq!(stack(&[("root", &[PUSH, CALL_NEXT[0], CALL_NEXT[1], 0x46a5]), ("ends", &[FOREVER])]), Ok(8));
     // A conditional return: `it lo`, `poplo {r4, pc}`.
     assert_eq!(stack(&[("root", &[PUSH, 0xbf38, POP, POP])]), Ok(8));
 }
 
 #[test]
-fn a_call_by_a_register_reaches_what_the_image_has_the_address_of() {
-    // movw r3, #15; movt r3, #0; blx r3: the next function's address, marked as Thumb code.
+fn register_call_reaches_functions_with_a_stored_address() {
+    // movw r3, #15; movt r3, #0; blx r3: the address of the next function, with the Thumb bit.
     let root = [PUSH, 0xf240, 0x030f, 0xf2c0, 0x0300, 0x4798, POP];
     assert_eq!(stack(&[("root", &root), ("next", &[PUSH, 0xb084, 0xb004, POP])]), Ok(8 + 24));
 }
 
 #[test]
-fn formatting_may_call_itself_as_deep_as_values_are_nested() {
+fn formatting_recursion_is_bounded_by_the_nesting_depth() {
     let within_itself = [PUSH, CALL_BACK[0], CALL_BACK[1], POP];
     assert_eq!(stack(&[("core::fmt::write", &within_itself)]), Ok(8 * FORMATTED_DEPTH));
 }
 
 #[test]
-fn a_stack_that_cannot_be_bounded_is_refused() {
+fn unbounded_stack_is_refused() {
     let refused = |functions: &[(&str, &[u16])], why: &str| {
-        let said = stack(functions).unwrap_err();
-        assert!(said.contains(why), "{said}");
+        let message = stack(functions).unwrap_err();
+        assert!(message.contains(why), "{message}");
     };
     refused(&[("root", &[PUSH, RETURN])], "another sp than it was entered with");
     refused(&[("root", &[POP])], "more is popped");
@@ -158,8 +158,8 @@ fn a_stack_that_cannot_be_bounded_is_refused() {
 }
 
 #[test]
-fn a_jump_table_ends_before_the_literals_behind_it() {
-    // tbb [pc, r0]; two entries; a literal; then what the entries lead to, of which one is a panic.
+fn jump_table_ends_before_the_literals_behind_it() {
+    // tbb [pc, r0]; two entries; a literal; then the targets of the entries, one of which is a panic.
     let root = [0xe8df, 0xf000, 0x0403, 0x0000, 0x0000, RETURN, 0xe7ff];
     let image = Image::of(&[("root", &root), ("core::panicking::panic_fmt", &[FOREVER])]).with_data(4..10);
     let found = check_free_of_panics(&image, &Program::new(&image), "root").unwrap_err();

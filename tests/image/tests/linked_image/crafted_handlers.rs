@@ -1,4 +1,4 @@
-//! The check of acknowledgements on small handlers of which the result is known: above all, what it must refuse.
+//! Tests of the acknowledgement check on small handlers with known results, above all on those that it must refuse.
 
 use crate::acknowledge::{Kind, NotAsserted, Step, check};
 use image_tests::image::Image;
@@ -33,21 +33,24 @@ fn handler(parts: &[&[u16]]) -> Result<bool, String> {
 
 #[track_caller]
 fn refuses(parts: &[&[u16]]) {
-    let said = handler(parts).unwrap_err();
-    assert!(said.contains("handler can return without a write of 0x20 to LIFCR (0x40026408)"), "{said}");
+    let message = handler(parts).unwrap_err();
+    assert!(
+        message.contains("handler can return without a write of 0x20 to LIFCR (0x40026408)"),
+        "{message}"
+    );
 }
 
 #[test]
-fn a_write_is_found_however_its_address_is_made() {
+fn write_is_found_for_every_form_of_its_address() {
     assert_eq!(handler(&[&BASE, &[FLAG, WRITE, RETURN]]), Ok(false));
     // movw, movt: 0x40026000; then add.w r0, r0, #0x400
     assert_eq!(handler(&[&[0xf246, 0x0000, 0xf2c4, 0x0002, 0xf500, 0x6080, FLAG, WRITE, RETURN]]), Ok(false));
     // mov r4, r0; str r1, [r4, #8]
     assert_eq!(handler(&[&BASE, &[FLAG, 0x4604, 0x60a1, RETURN]]), Ok(false));
-    // str r1, [r0], #8 goes elsewhere, and moves the base to where str r1, [r0] is right.
+    // str r1, [r0], #8 writes elsewhere, and moves the base so that str r1, [r0] is right.
     assert_eq!(handler(&[&BASE, &[FLAG, 0xf840, 0x1b08, 0x6001, RETURN]]), Ok(false));
     refuses(&[&BASE, &[FLAG, 0xf840, 0x1b08, RETURN]]);
-    // strd r1, r1, [r0, #4], the second of which is there; stm r0!, {r1, r2}, which is not.
+    // strd r1, r1, [r0, #4] writes it with its second word; stm r0!, {r1, r2} does not.
     assert_eq!(handler(&[&BASE, &[FLAG, 0xe9c0, 0x1101, RETURN]]), Ok(false));
     refuses(&[&BASE, &[FLAG, 0xc006, RETURN]]);
     // strh.w r1, [r0, #8]
@@ -59,15 +62,15 @@ fn a_write_is_found_however_its_address_is_made() {
 }
 
 #[test]
-fn a_path_without_the_write_is_named() {
-    let said = handler(&[&BASE, &[0x6802, FLAG, SKIP_ONE_IF_R3, WRITE, RETURN]]).unwrap_err();
+fn path_without_the_write_is_reported() {
+    let message = handler(&[&BASE, &[0x6802, FLAG, SKIP_ONE_IF_R3, WRITE, RETURN]]).unwrap_err();
     assert_eq!(
-        said,
+        message,
         "handler can return without a write of 0x20 to LIFCR (0x40026408):\n  \
          0x00000000 to 0x0000000c handler, reads 0x40026400\n  \
          0x00000010 to 0x00000010 handler"
     );
-    // The same behind a write, and the write under a condition: `it ne`, `strne`.
+    // The same branch after a write, and the write under a condition: `it ne`, `strne`.
     assert_eq!(handler(&[&BASE, &[FLAG, WRITE, SKIP_ONE_IF_R3, WRITE, RETURN]]), Ok(false));
     refuses(&[&BASE, &[FLAG, 0xbf18, WRITE, RETURN]]);
     // A return under a condition, and by pop.
@@ -76,15 +79,15 @@ fn a_path_without_the_write_is_named() {
 }
 
 #[test]
-fn a_path_that_does_not_return_owes_nothing() {
-    // `cbnz r3` to the return, which the write stands before; a trap and an endless loop.
+fn path_that_does_not_return_needs_no_write() {
+    // `cbnz r3` over a trap to the write; an endless loop.
     assert_eq!(handler(&[&BASE, &[FLAG, SKIP_ONE_IF_R3, 0xde00, WRITE, RETURN]]), Ok(false));
     assert_eq!(handler(&[&[0xe7fe]]), Ok(false));
 }
 
 #[test]
-fn a_constant_that_takes_nothing_down_is_no_acknowledgement() {
-    // movs r1, #29 has not got the bit; ldr r1, [r0] is not known, and let pass.
+fn constant_without_the_bit_is_no_acknowledgement() {
+    // movs r1, #29 does not have the bit; the value of ldr r1, [r0] is unknown and accepted.
     refuses(&[&BASE, &[0x211d, WRITE, RETURN]]);
     assert_eq!(handler(&[&BASE, &[0x6801, WRITE, RETURN]]), Ok(false));
     let zeros = Step { kind: Kind::WriteZeros(1 << 5), ..CLEAR };
@@ -95,7 +98,7 @@ fn a_constant_that_takes_nothing_down_is_no_acknowledgement() {
 }
 
 #[test]
-fn an_address_that_may_be_another_is_not_known() {
+fn address_that_may_differ_is_unknown() {
     // ldr r0, [r0]
     refuses(&[&BASE, &[FLAG, 0x6800, WRITE, RETURN]]);
     // `it ne`, `movne r0, r3`
@@ -110,27 +113,30 @@ fn an_address_that_may_be_another_is_not_known() {
 }
 
 #[test]
-fn a_called_function_may_acknowledge() {
+fn called_function_may_acknowledge() {
     let calls = [PUSH, CALL_NEXT[0], CALL_NEXT[1], POP];
     let clears = code(&[&BASE, &[FLAG, WRITE, RETURN]]);
     let may_clear = code(&[&BASE, &[FLAG, SKIP_ONE_IF_R3, WRITE, RETURN]]);
     assert_eq!(acknowledges(&[("handler", &calls), ("clear", &clears)]), Ok(false));
-    let said = acknowledges(&[("handler", &calls), ("clear", &may_clear)]).unwrap_err();
-    assert!(said.contains("to 0x00000012 clear\n") && said.ends_with("0x00000006 handler"), "{said}");
-    // The same by a jump at the end, of which the return is the handler's.
+    let message = acknowledges(&[("handler", &calls), ("clear", &may_clear)]).unwrap_err();
+    assert!(
+        message.contains("to 0x00000012 clear\n") && message.ends_with("0x00000006 handler"),
+        "{message}"
+    );
+    // The same with a jump at the end; the return of its target is the handler's.
     assert_eq!(acknowledges(&[("handler", &[0xe7ff]), ("clear", &clears)]), Ok(false));
     assert!(acknowledges(&[("handler", &[0xe7ff]), ("clear", &may_clear)]).is_err());
-    // By a register it is not known which function it is.
+    // With a call by register the callee is unknown.
     assert!(acknowledges(&[("handler", &[PUSH, 0x4798, POP]), ("clear", &clears)]).is_err());
-    // A function that calls itself before.
+    // A function that calls itself before the write.
     let itself = [PUSH, 0xf7ff, 0xfffd, POP];
-    let said = acknowledges(&[("handler", &itself)]).unwrap_err();
-    assert!(said.contains("nested too deep"), "{said}");
+    let message = acknowledges(&[("handler", &itself)]).unwrap_err();
+    assert!(message.contains("nested too deep"), "{message}");
 }
 
 #[test]
 fn each_entry_of_a_jump_table_is_followed() {
-    // tbb [pc, r3], with two entries: to the write, and to the return behind it.
+    // tbb [pc, r3] with two entries: to the write, and to the return behind it.
     let table = |second| {
         let handler = code(&[&BASE, &[FLAG, 0xe8df, 0xf003, second, WRITE, RETURN]]);
         let image = Image::of(&[("handler", &handler)]).with_data(14..16);
@@ -141,7 +147,7 @@ fn each_entry_of_a_jump_table_is_followed() {
 }
 
 #[test]
-fn two_steps_count_in_their_order() {
+fn two_steps_count_only_in_order() {
     const STATUS: Step = Step { register: "SR", address: 0x4000_4400, kind: Kind::Read };
     const DATA: Step = Step { register: "DR", address: 0x4000_4404, kind: Kind::Read };
     let read = |loads: &[u16]| {
@@ -159,10 +165,10 @@ fn two_steps_count_in_their_order() {
 }
 
 #[test]
-fn a_flag_that_is_down_excuses_if_the_table_says_so() {
+fn cleared_flag_excuses_a_path_if_the_table_allows() {
     const STATUS: u32 = 0x4000_0c10;
     const ZEROS: Step = Step { register: "SR", address: STATUS, kind: Kind::WriteZeros(1 << 1) };
-    const EXCUSE: NotAsserted = NotAsserted { address: STATUS, bit: 1, why: "it was not up" };
+    const EXCUSE: NotAsserted = NotAsserted { address: STATUS, bit: 1, why: "it was not asserted" };
     let timer = [0xf640, 0x4010, 0xf2c4, 0x0000, 0x2100]; // r0 = 0x40000c10; movs r1, #0
     let with = |unless, parts: &[u16]| {
         by(&[ZEROS], unless, &[("handler", &code(&[&timer, parts, &[0x6001, RETURN]]))]) // str r1, [r0]
@@ -175,10 +181,10 @@ fn a_flag_that_is_down_excuses_if_the_table_says_so() {
     assert!(with(None, &early_return).is_err());
     assert!(with(Some(NotAsserted { bit: 2, ..EXCUSE }), &early_return).is_err());
     assert!(with(Some(NotAsserted { address: STATUS + 4, ..EXCUSE }), &early_return).is_err());
-    // The excuse must be needed: nobody looks at the flag here.
+    // The result shows that the excuse is not used: no path tests the flag here.
     assert_eq!(with(Some(EXCUSE), &[]), Ok(false));
 
-    // tst.w r2, #2; ubfx r2, r2, #1, #1; and, with r3 = 2, tst r2, r3. Each over the write if the flag is down.
+    // tst.w r2, #2; ubfx r2, r2, #1, #1; and, with r3 = 2, tst r2, r3. Each skips the write if the flag is clear.
     const SKIP_IF_ZERO: u16 = 0xd000; // beq, over one half-word
     const SKIP_UNLESS_ZERO: u16 = 0xd100; // bne
     assert_eq!(with(Some(EXCUSE), &[LOAD, 0xf012, 0x0f02, SKIP_IF_ZERO]), Ok(true));
@@ -186,13 +192,13 @@ fn a_flag_that_is_down_excuses_if_the_table_says_so() {
     assert_eq!(with(Some(EXCUSE), &[LOAD, 0x2302, 0x421a, SKIP_IF_ZERO]), Ok(true));
     assert_eq!(with(Some(EXCUSE), &[LOAD, 0xf3c2, 0x0240, 0x2a00, SKIP_IF_ZERO]), Ok(true)); // cmp r2, #0
 
-    // Over the write if it is up, on another bit, or with flags that say something else by then.
+    // Skips the write if the flag is set, on another bit, or with flags that another instruction has changed.
     assert!(with(Some(EXCUSE), &[LOAD, 0xf012, 0x0f02, SKIP_UNLESS_ZERO]).is_err());
     assert!(with(Some(EXCUSE), &[LOAD, 0xf3c2, 0x0240, 0xb902]).is_err()); // cbnz r2
     assert!(with(Some(EXCUSE), &[LOAD, 0xf3c2, 0x0280, 0xb102]).is_err()); // bit 2
     assert!(with(Some(EXCUSE), &[LOAD, 0xf012, 0x0f06, SKIP_IF_ZERO]).is_err()); // either of two bits
     assert!(with(Some(EXCUSE), &[LOAD, 0xf012, 0x0f02, 0x2b00, SKIP_IF_ZERO]).is_err()); // cmp r3, #0
     assert!(with(Some(EXCUSE), &[LOAD, SHIFT, 0x0792, IF_PLUS, RETURN]).is_err());
-    // What was read may be another word by then: the register is loaded anew from elsewhere.
+    // The register is loaded again from another address before the test.
     assert!(with(Some(EXCUSE), &[LOAD, 0x6842, SHIFT, IF_PLUS, RETURN]).is_err()); // ldr r2, [r0, #4]
 }

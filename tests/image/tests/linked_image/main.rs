@@ -1,40 +1,40 @@
-//! The flight board's image as it was linked: what its interrupt handlers can reach, and how much stack they
-//! take. With the default log level, errors only, and with everything logged, since that is more code.
+//! Checks of the flight board's linked image: what its interrupt handlers can reach, and how much stack they take. The
+//! image is checked with the default log level, errors only, and with all levels, because that is more code.
 //!
-//! Four statements are read off the machine code, and hold for every input:
+//! Four statements are derived from the machine code, and hold for every input:
 //!
-//! - **No panic can be reached from the fast loop.** From each handler in [`FAST_LOOP`], all calls are
-//!   followed. None leads to a function of [`PANICS`], none to an undefined instruction, and none goes by a
-//!   register, so that all of them are seen. That the search finds panics is checked on the same image:
-//!   bringing the board up may panic, and does so on a setting that is out of range.
-//! - **The stack holds the worst nesting of handlers.** Each path through each function is followed with the
-//!   depth of the stack at each instruction; a path must come back with the stack pointer with which it
-//!   began. The deepest path of calls from reset, and from the worst handler of each priority in
-//!   [`HANDLERS`], are added up, with the registers that the processor saves at each interruption.
+//! - **The fast loop reaches no panic.** From each handler in [`FAST_LOOP`], all calls are followed. None leads to a
+//!   function of [`PANICS`], none to an undefined instruction, and none goes by a register, so that all calls are seen.
+//!   The same image shows that the search finds panics: the initialisation of the board can panic, and does so if a
+//!   setting is out of range.
+//! - **The stack holds the worst nesting of handlers.** Each path through each function is followed with the depth of
+//! the
+//!   stack at each instruction; a path must return with the stack pointer with which it began. The bound is the sum of
+//!   the deepest path of calls from reset, of the deepest path from the worst handler of each priority in [`HANDLERS`],
+//!   and of the registers that the processor saves at each interruption.
+//! - **Every handler acknowledges its interrupt on every path.** A table lists the accesses that do so, and the vectors
+//!   that need none with the reason. No path of the handler returns before these accesses (`acknowledge.rs`).
+//! Interrupts
+//!   without a handler of their own go to the default handler, which never returns.
+//! - **On a desk the motor pads stay inputs.** In the image that flies with `sim-host hil --serial`, no number is an
+//!   address of their port, or an address from which an offset reaches it.
 //!
-//! - **Every handler takes its interrupt down on every path.** The accesses that do so are in a table, with the vectors
-//!   that need none and why; no path of the handler returns before them (`acknowledge.rs`). What has no handler of its
-//!   own goes to the default one, which never returns.
-//!
-//! - **On a desk the motor pads stay inputs.** In the image that flies at the other end of `sim-host hil --serial` no
-//!   number is an address of their port, or one from which it is reached.
-//!
-//! Whatever is not understood is an error and not skipped: an instruction that writes `sp` or `pc` in a way
-//! that `thumb.rs` does not know, a jump into the middle of a function, a cycle of calls, a vector that is
-//! not in [`HANDLERS`].
+//! Everything unknown is an error and is not skipped: an instruction that writes `sp` or `pc` in a way that `thumb.rs`
+//! does not know, a jump into the middle of a function, a cycle of calls, a vector that is not in [`HANDLERS`].
 //!
 //! # What this does not show
-//! - That the compiler's code is reached at all, or in time: endless loops, and waiting, are not panics.
-//! - Faults: a load from a bad address is not seen. They stop the motors (`firmware/src/fault.rs`).
-//! - The stack *after* a panic has begun. One that runs out of it is a fault, which begins the stack anew and
-//!   stops the motors, as the panic was about to do.
-//! - The priorities, which the firmware writes at run time. The bound in which each handler interrupts all
-//!   others needs none of them, and is printed beside.
-//! - How deep values that are formatted are nested: [`FORMATTED_DEPTH`] is taken from their types.
+//! - That the code is reached at all, or in time: endless loops and waiting are not panics.
+//! - Faults: a load from a bad address is not detected. Faults stop the motors (`firmware/src/fault.rs`).
+//! - The stack *after* a panic has begun. If a panic overflows the stack, a fault follows, which resets the stack
+//! pointer
+//!   and stops the motors, as the panic would have done.
+//! - The priorities, which the firmware writes at run time. A second bound, in which each handler interrupts all
+//! others,
+//!   does not depend on them, and is printed too.
+//! - How deep formatted values are nested: [`FORMATTED_DEPTH`] follows from their types.
 //!
-//! A call by a register is taken to reach any function whose address occurs in the image, in data or in a
-//! pair of `movw` and `movt`. An address that is computed otherwise would be missed, and the compiler makes
-//! none.
+//! A call by a register is assumed to reach any function whose address occurs in the image, in data or in a
+//! pair of `movw` and `movt`. An address that is computed in another way would be missed; the compiler generates none.
 
 mod acknowledge;
 mod crafted;
@@ -53,7 +53,7 @@ use image_tests::function::{self, Callee, Function};
 use image_tests::image::Image;
 use image_tests::program::{Depth, Program};
 
-/// The handlers between a sample and the motors' pulses: the control loop, and what wakes it.
+/// The handlers between a sample and the motors' pulses: the control loop, and the handlers that start it.
 const FAST_LOOP: [&str; 3] = ["DMA2_STREAM0", "EXTI4", "TIM5"];
 
 /// The RTIC priority of each handler. Tasks: `#[task]` in `firmware/src/main.rs`; asynchronous tasks run in
@@ -61,19 +61,19 @@ const FAST_LOOP: [&str; 3] = ["DMA2_STREAM0", "EXTI4", "TIM5"];
 /// board's own interrupts: `SAMPLING_PRIORITY` in `firmware/src/board/mod.rs`.
 const HANDLERS: [(&str, u8); 10] = [
     ("CRYP", 1),         // magnetometer
-    ("DCMI", 2),         // imu, health, announce
-    ("HASH_RNG", 3),     // supply
+    ("DCMI", 2),         // imu_setup, health, log_event
+    ("HASH_RNG", 3),     // battery
     ("SysTick", 4),      // tick
-    ("DMA2_STREAM0", 5), // flight
+    ("DMA2_STREAM0", 5), // control_loop
     ("EXTI4", 6),        // data ready
     ("TIM5", 6),         // sample overdue
     ("USART2", 6),       // receive
     ("PVD", 7),          // the supply is too low
-    // Above all priorities: the crystal has failed.
+    // Above all priorities: failure of the crystal oscillator.
     ("NonMaskableInt", 17),
 ];
 
-/// Where a panic begins: beginnings of names.
+/// Prefixes of the names of functions with which a panic begins.
 const PANICS: [&str; 9] = [
     "__rustc::rust_begin_unwind",
     "core::cell::panic_",
@@ -86,23 +86,23 @@ const PANICS: [&str; 9] = [
     "defmt::export::panic",
 ];
 
-/// How many values within values are formatted through `core::fmt`, whose functions call each other in cycles. The log
-/// formats none; a panic's message does, up to which nothing is counted. So this is room.
+/// Assumed nesting depth of values formatted by `core::fmt`, whose functions call each other in cycles. The log formats
+/// no values this way. A panic message does, but nothing is counted after a panic has begun. So this is a reserve.
 const FORMATTED_DEPTH: u32 = 4;
 
-/// What the processor saves when an interrupt comes: 8 words, 18 of the floating-point unit (for which it
-/// leaves room even if it need not save them), and one that aligns the stack.
+/// Bytes that the processor saves at an interrupt: 8 words, 18 of the floating-point unit (reserved even if they need
+/// not be saved), and one that aligns the stack.
 const SAVED_BYTES: u32 = 4 * (8 + 18 + 1);
 
 #[test]
 #[ignore = "builds the firmware for the board"]
-fn no_panic_can_be_reached_from_the_fast_loop() {
+fn fast_loop_reaches_no_panic() {
     for (log, image) in flight_images() {
         let program = Program::new(image);
         for root in FAST_LOOP {
             check_free_of_panics(image, &program, root).unwrap_or_else(|why| panic!("log {log}: {why}"));
         }
-        // The largest part of the control loop is there, so the search did not end early.
+        // The search reached the largest part of the control loop, so it did not end early.
         let (functions, instructions) = extent(image, &program, image.find(FAST_LOOP[0]).unwrap());
         assert!(instructions > 1_500, "log {log}: {instructions} instructions in the control loop");
         println!(
@@ -110,17 +110,17 @@ fn no_panic_can_be_reached_from_the_fast_loop() {
             FAST_LOOP[0]
         );
 
-        // Bringing the board up can panic, and that is found.
+        // The initialisation of the board can panic, and the search finds that.
         let found = check_free_of_panics(image, &program, "Reset").unwrap_err();
         assert!(found.contains("core::panicking::"), "{found}");
     }
 }
 
-/// Whether `root` neither panics, nor runs into an undefined instruction, nor calls anything by a register.
+/// Checks that `root` reaches no panic, no undefined instruction, and no call by a register.
 fn check_free_of_panics(image: &Image, program: &Program, root: &str) -> Result<(), String> {
     let start = image.find(root).ok_or(format!("{root} is not in the image"))?;
     let reached = program.reached(start, |_| false)?;
-    // Nearest first: the shortest chain says most.
+    // Nearest first, because the shortest chain explains most.
     let mut nearest: Vec<(usize, u32)> = reached
         .keys()
         .map(|&function| (program.chain(&reached, function).lines().count(), function))
@@ -148,11 +148,15 @@ fn is_panic(name: &str) -> bool {
 
 #[test]
 #[ignore = "builds the firmware for the board"]
-fn the_stack_holds_the_worst_nesting_of_handlers() {
+fn stack_holds_the_worst_nesting_of_handlers() {
     for (log, image) in flight_images() {
         println!("log {log}");
         let bound = stack_bound(image).unwrap_or_else(|why| panic!("log {log}: {why}"));
-        assert!(bound <= image.stack_bytes, "{bound} bytes of stack, and there are {}", image.stack_bytes);
+        assert!(
+            bound <= image.stack_bytes,
+            "stack bound {bound} bytes, available {} bytes",
+            image.stack_bytes
+        );
         if *log == "trace" {
             image_tests::budget("bytes", "stack", bound);
         }
@@ -169,7 +173,7 @@ fn flash_and_ram_keep_their_budgets() {
 
 #[test]
 #[ignore = "builds the firmware for the board"]
-fn every_handler_takes_its_interrupt_down_on_every_path() {
+fn every_handler_acknowledges_on_every_path() {
     let named: BTreeSet<&str> = acknowledge::SOURCES.iter().map(|(name, _)| *name).collect();
     assert_eq!(named, HANDLERS.iter().map(|(name, _)| *name).collect(), "a source for each handler");
     for (log, image) in flight_images() {
@@ -181,20 +185,20 @@ fn every_handler_takes_its_interrupt_down_on_every_path() {
                 Source::Acknowledged { by, unless } => {
                     match acknowledge::check(image, name, by, *unless) {
                         Ok(found) if unless.is_some() != found.excused => {
-                            failures.push(format!("{name}: no path needs its exception any more"));
+                            failures.push(format!("{name}: no path uses its exception any more"));
                         }
                         Ok(Found { instructions, .. }) => {
                             println!(
-                                "log {log}: {name:14} acknowledges, {instructions} instructions looked at"
+                                "log {log}: {name:14} acknowledges, {instructions} instructions examined"
                             );
                         }
                         Err(why) => failures.push(why),
                     }
                     if let Some(NotAsserted { address, bit, why }) = unless {
-                        println!("  but for bit {bit} of {address:#x} clear: {why}");
+                        println!("  except with bit {bit} of {address:#x} clear: {why}");
                     }
                 }
-                Source::ByItself(why) => println!("log {log}: {name:14} need not: {why}"),
+                Source::ByItself(why) => println!("log {log}: {name:14} needs no acknowledgement: {why}"),
                 Source::NeverReturns(why) => {
                     failures.extend(returns(name).then(|| format!("{name} can return")));
                     println!("log {log}: {name:14} never returns: {why}");
@@ -208,15 +212,16 @@ fn every_handler_takes_its_interrupt_down_on_every_path() {
     }
 }
 
-/// The addresses of the motor pads' port, GPIOB, and those below from which an instruction's offset (12 bits) reaches it.
+/// Addresses of the motor pads' port, GPIOB, and the addresses below it from which an instruction's offset (12 bits)
+/// reaches it.
 const NEAR_MOTOR_PADS: std::ops::Range<u32> = 0x4002_0400 - 0xfff..0x4002_0428;
-/// The same port bit by bit: the alias of the registers from 0x4000_0000 on.
+/// The same port in the bit-band alias of the registers from 0x4000_0000 on.
 const BITS_OF_MOTOR_PADS: std::ops::Range<u32> =
     0x4200_0000 + 32 * 0x2_0400 - 0xfff..0x4200_0000 + 32 * 0x2_0428;
 
 #[test]
 #[ignore = "builds the firmware for the board"]
-fn on_a_desk_nothing_can_connect_a_motor_pad() {
+fn hil_image_cannot_configure_the_motor_pads() {
     let knows_motor_pads = |image: &Image| {
         let built = image.functions.keys().flat_map(|&start| function::pairs(image, start));
         image
@@ -224,21 +229,21 @@ fn on_a_desk_nothing_can_connect_a_motor_pad() {
             .chain(built)
             .any(|number| NEAR_MOTOR_PADS.contains(&number) || BITS_OF_MOTOR_PADS.contains(&number))
     };
-    // After a reset the pads are inputs, and only a register of their port makes them anything else.
+    // After a reset the pads are inputs, and only a register of their port can change that.
     assert!(!knows_motor_pads(&built_image("info", &["--no-default-features", "--features", "hil"])));
     assert!(knows_motor_pads(&flight_image("info")));
 }
 
-/// The most stack that reset and the worst nesting of handlers take; prints how it comes about.
+/// Returns the largest stack use of reset with the worst nesting of handlers, and prints its parts.
 fn stack_bound(image: &Image) -> Result<u32, String> {
     let program = Program::new(image);
-    // Every vector is accounted for. What has no handler of its own goes to the default one.
+    // Every vector is in the table. Vectors without a handler of their own go to the default handler.
     let vectors: BTreeSet<&str> = image.vectors.iter().map(|&handler| image.name(handler)).collect();
     let handlers = HANDLERS.iter().map(|&(name, _)| name);
     assert_eq!(
         vectors,
         handlers.chain(["Reset", "HardFault", "DefaultHandler"]).collect(),
-        "image, and table"
+        "vectors of the image and of the table"
     );
 
     println!("{:16} {:>8} {:>6} {:>12}   deepest calls", "root", "priority", "bytes", "instructions");
@@ -250,8 +255,8 @@ fn stack_bound(image: &Image) -> Result<u32, String> {
         println!("{name:16} {priority:>8} {:>6} {instructions:>12}   {}", depth.bytes, path.join(" → "));
         Ok::<u32, String>(depth.bytes)
     };
-    // From here on to the idle task, which never ends. Bringing the board up is the deepest of it, and runs
-    // with interrupts off, so the sum is more than can come together.
+    // From reset to the idle task, which never ends. The initialisation is the deepest part and runs with interrupts
+    // off, so the sum is an upper bound.
     let base = bytes_of("Reset", "0")?;
     let mut levels: BTreeMap<u8, u32> = BTreeMap::new();
     let mut each_on_top = 0;
@@ -261,7 +266,7 @@ fn stack_bound(image: &Image) -> Result<u32, String> {
         *level = bytes.max(*level);
         each_on_top += SAVED_BYTES + bytes;
     }
-    // Above all: an interrupt that nobody expected, or a fault. Neither comes back.
+    // On top: an unexpected interrupt or a fault. Neither returns.
     let last = SAVED_BYTES + bytes_of("DefaultHandler", "any")?.max(bytes_of("HardFault", "fault")?);
 
     let bound = base + levels.values().map(|level| SAVED_BYTES + level).sum::<u32>() + last;
@@ -270,13 +275,13 @@ fn stack_bound(image: &Image) -> Result<u32, String> {
     Ok(bound)
 }
 
-/// The stack of `start`, up to where a panic begins.
+/// Returns the stack use of `start`, up to where a panic begins.
 fn depth(image: &Image, program: &Program, start: u32) -> Result<Depth, String> {
     let nested = |name: &str| name.contains("core::fmt::").then_some(FORMATTED_DEPTH);
     program.depth(start, |function| is_panic(image.name(function)), nested)
 }
 
-/// Functions and instructions that can be reached, without those of a panic.
+/// Returns the numbers of reachable functions and instructions, without those of a panic.
 fn extent(image: &Image, program: &Program, root: u32) -> (usize, usize) {
     let reached = program.reached(root, |function| is_panic(image.name(function))).unwrap();
     let instructions: Vec<usize> = reached
@@ -287,8 +292,8 @@ fn extent(image: &Image, program: &Program, root: u32) -> (usize, usize) {
     (instructions.len(), instructions.iter().sum())
 }
 
-/// The images, and the log levels with which they are built: what is logged is chosen at build time, by
-/// `DEFMT_LOG`. They are built once, in a target directory of their own: the outer build's is locked.
+/// Returns the images with their log levels, which `DEFMT_LOG` sets at build time. They are built once, in a separate
+/// target directory, because the outer build holds the lock of its own.
 fn flight_images() -> &'static [(&'static str, Image)] {
     static IMAGES: OnceLock<[(&str, Image); 2]> = OnceLock::new();
     IMAGES.get_or_init(|| ["error", "trace"].map(|log| (log, flight_image(log))))

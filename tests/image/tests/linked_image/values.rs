@@ -1,8 +1,8 @@
-//! What is known of the core registers along a path, and which fixed addresses an instruction accesses.
+//! Known values of the core registers along a path, and accesses to fixed addresses.
 //!
-//! A register's value is known if it is built from constants: `movw` and `movt`, literals, additions and the like. What
-//! an instruction does that is not decoded here, no register is known after. So a value that is given as known is right
-//! on every path, and one that is missing only makes the check refuse more.
+//! A register's value is known if it is built from constants: `movw` and `movt`, literals, additions and the like.
+//! After an instruction that is not decoded here, no register is known. So a value that is given as known is right on
+//! every path, and a missing value only makes the check refuse more.
 
 use image_tests::image::Image;
 use image_tests::thumb::{Condition, LR, PC, SP, bit, expanded_immediate, twelve_bits};
@@ -12,23 +12,23 @@ use image_tests::thumb::{Condition, LR, PC, SP, bit, expanded_immediate, twelve_
 pub enum Value {
     Unknown,
     Known(u32),
-    /// What was read at this address.
+    /// The value that was read at this address.
     Read(u32),
-    /// Zero if this bit of what was read at the address was, and something else if it was not.
+    /// Zero if this bit of the value read at this address was zero, otherwise not zero.
     Bit(u32, u32),
 }
 use Value::{Known, Unknown};
 
-/// What the flags say of a bit of what was read at an address.
+/// The meaning of the flags for a bit of a value that was read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Test {
     address: u32,
     bit: u32,
-    /// The flag that follows it: N is the bit; otherwise Z is its opposite.
+    /// The flag that depends on it: if `true`, N equals the bit; otherwise Z is its inverse.
     by_sign: bool,
 }
 
-/// A bit that was read at an address, and what it was.
+/// A bit of a value read at an address, and its state.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct BitRead {
     pub address: u32,
@@ -36,7 +36,7 @@ pub struct BitRead {
     pub set: bool,
 }
 
-/// An access to an address that is known.
+/// An access to a known address.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Access {
     Read(u32),
@@ -63,13 +63,13 @@ impl Registers {
         Self { values: [Unknown; 15], test: None }
     }
 
-    /// What holds for both.
+    /// Returns what holds for both.
     pub fn join(&self, other: &Self) -> Self {
         let either = |n: usize| if self.values[n] == other.values[n] { self.values[n] } else { Unknown };
         Self { values: std::array::from_fn(either), test: self.test.filter(|_| self.test == other.test) }
     }
 
-    /// After a call, the registers that the calling convention lets the callee change.
+    /// Forgets the registers that a callee may change by the calling convention.
     pub fn forget_volatile(&mut self) {
         for register in [0, 1, 2, 3, 12, LR] {
             self.set(register, Unknown);
@@ -92,7 +92,7 @@ impl Registers {
         *self = Self::unknown();
     }
 
-    /// What is known of a bit that was read, if the condition holds.
+    /// Returns what the condition implies for a bit that was read.
     pub fn bit_if(&self, condition: Condition) -> Option<BitRead> {
         let Test { address, bit, by_sign } = self.test?;
         let set = match (condition, by_sign) {
@@ -105,7 +105,7 @@ impl Registers {
         Some(BitRead { address, bit, set })
     }
 
-    /// The same of a bit that is in a register, if that is zero.
+    /// Returns what a register of zero implies for a bit that was read.
     fn bit_if_zero(&self, register: u32) -> Option<BitRead> {
         match self.get(register) {
             Value::Bit(address, bit) => Some(BitRead { address, bit, set: false }),
@@ -113,7 +113,7 @@ impl Registers {
         }
     }
 
-    /// What the branch at an address says of a bit if it is taken; the opposite if it is not.
+    /// Returns what the branch implies for a bit if it is taken; the opposite holds if it is not taken.
     pub fn bit_if_taken(&self, first: u16, second: u16) -> Option<BitRead> {
         let (first, second) = (u32::from(first), u32::from(second));
         match first >> 8 {
@@ -125,8 +125,8 @@ impl Registers {
         }
     }
 
-    /// Executes the instruction at `at`, which moves no flow, and returns the accesses to known addresses.
-    /// `in_block` is whether it stands in an `it` block.
+    /// Executes the instruction at `at`, without its effect on the program counter, and returns the accesses to known
+    /// addresses. `in_block` is whether it is in an `it` block.
     pub fn execute(&mut self, image: &Image, at: u32, in_block: bool) -> Vec<Access> {
         let half_word = |address| u32::from(image.half_word(address).unwrap_or(0));
         let (first, second) = (half_word(at), half_word(at + 2));
@@ -147,7 +147,7 @@ impl BitRead {
     }
 }
 
-/// One instruction under way.
+/// The execution of one instruction.
 struct Machine<'a> {
     registers: &'a mut Registers,
     image: &'a Image,
@@ -156,7 +156,7 @@ struct Machine<'a> {
     accesses: &'a mut Vec<Access>,
 }
 
-// Operations of the wide arithmetic, as they are coded.
+// Operation codes of the wide arithmetic.
 const AND: u32 = 0;
 const BIC: u32 = 1;
 const ORR: u32 = 2;
@@ -166,7 +166,7 @@ const ADD: u32 = 8;
 const SUB: u32 = 13;
 const RSB: u32 = 14;
 
-/// The result of an operation.
+/// Returns the result of an operation.
 fn result(operation: u32, one: Value, other: Value) -> Value {
     match (operation, one, other) {
         (AND, Value::Read(address), Known(mask)) | (AND, Known(mask), Value::Read(address)) => {
@@ -187,7 +187,7 @@ fn result(operation: u32, one: Value, other: Value) -> Value {
     }
 }
 
-/// The flags after a result that is only looked at for being zero.
+/// Returns the meaning of the flags after a result that is tested for zero.
 fn zero_test(value: Value) -> Option<Test> {
     match value {
         Value::Bit(address, bit) => Some(Test { address, bit, by_sign: false }),
@@ -195,7 +195,7 @@ fn zero_test(value: Value) -> Option<Test> {
     }
 }
 
-/// The flags after a shift to the left by so many bits: the sign is one of the bits.
+/// Returns the meaning of the flags after a shift to the left: the sign is one of the bits.
 fn sign_test(value: Value, shift: u32) -> Option<Test> {
     match value {
         Value::Read(address) => Some(Test { address, bit: 31 - shift, by_sign: true }),
@@ -203,7 +203,7 @@ fn sign_test(value: Value, shift: u32) -> Option<Test> {
     }
 }
 
-/// The value, shifted by an immediate: kind 0 is to the left.
+/// Returns the value shifted by an immediate; kind 0 is to the left.
 fn shifted(value: Value, kind: u32, by: u32) -> Value {
     match (value, kind, by) {
         (value, 0, 0) => value,
@@ -222,7 +222,7 @@ impl Machine<'_> {
         self.registers.set(register, value);
     }
 
-    /// A 16-bit instruction outside an `it` block sets the flags.
+    /// Sets register and flags: a 16-bit instruction sets the flags outside an `it` block only.
     fn set_with_flags(&mut self, register: u32, value: Value, test: Option<Test>) {
         self.set(register, value);
         if !self.in_block {
@@ -230,7 +230,8 @@ impl Machine<'_> {
         }
     }
 
-    /// A load or a store of one register. An address that is not known is none of a table's: it is left out.
+    /// Executes a load or a store of one register. Accesses to unknown addresses are left out: the check cannot use
+    /// them.
     fn access(&mut self, load: bool, register: u32, address: Value, word: bool) {
         let Known(address) = address else {
             if load {
@@ -247,7 +248,7 @@ impl Machine<'_> {
         }
     }
 
-    /// The word at the address, if it is in a function's literals, which nobody writes.
+    /// Returns the word at the address, if it is a literal of the function, which is never written.
     fn literal(&self, address: u32) -> Option<Value> {
         let half = |address| (!self.image.is_code(address)).then(|| self.image.half_word(address)).flatten();
         let near = address.abs_diff(self.at) <= 4_096 + 4;
@@ -309,13 +310,13 @@ impl Machine<'_> {
                     _ => self.set(to, self.get(from)),
                 }
             }
-            // bx, blx: a flow
+            // bx, blx: only the program counter
             0x47 => {}
             0x48..=0x4f => {
                 let address = ((self.at + 4) & !3) + 4 * (code & 0xff);
                 self.access(true, code >> 8 & 7, Known(address), true);
             }
-            // By a register: str, strh, strb, ldrsb, ldr, ldrh, ldrb, ldrsh
+            // With a register offset: str, strh, strb, ldrsb, ldr, ldrh, ldrb, ldrsh
             0x50..=0x5f => {
                 let address = result(ADD, self.get(middle), self.get(code >> 6 & 7));
                 let kind = code >> 9 & 7;
@@ -324,7 +325,7 @@ impl Machine<'_> {
                     self.set(low, Unknown);
                 }
             }
-            // By an immediate: words, bytes, half-words
+            // With an immediate offset: words, bytes, half-words
             0x60..=0x8f => {
                 let scale = match code >> 12 {
                     6 => 4,
@@ -334,13 +335,13 @@ impl Machine<'_> {
                 let address = result(ADD, self.get(middle), Known(scale * immediate));
                 self.access(bit(code, 11), low, address, scale == 4);
             }
-            // By the stack pointer
+            // Relative to the stack pointer
             0x90..=0x97 => {}
             0x98..=0x9f => self.set(code >> 8 & 7, Unknown),
             // adr
             0xa0..=0xa7 => self.set(code >> 8 & 7, Known(((self.at + 4) & !3) + 4 * (code & 0xff))),
             0xa8..=0xaf => self.set(code >> 8 & 7, Unknown),
-            // sp alone; cbz, cbnz; push; cps; it, hints
+            // Only sp; cbz, cbnz; push; cps; it, hints
             0xb0 | 0xb1 | 0xb3 | 0xb4 | 0xb5 | 0xb6 | 0xb9 | 0xbb | 0xbf => {}
             // Extension, reversal
             0xb2 | 0xba => self.set(low, Unknown),
@@ -358,7 +359,7 @@ impl Machine<'_> {
         }
     }
 
-    /// stm, ldm: the registers of the list, from `base` and `offset` on.
+    /// stm, ldm: the registers of the list, at `base` plus `offset`
     fn several(&mut self, load: bool, base: u32, offset: i32, list: u32, write_back: bool) {
         let start = result(ADD, self.get(base), Known(offset as u32));
         let listed: Vec<u32> = (0..16).filter(|&n| bit(list, n)).collect();
@@ -366,7 +367,7 @@ impl Machine<'_> {
             self.access(load, register, result(ADD, start, Known(4 * n as u32)), true);
         }
         if write_back {
-            // Which way it goes does not matter to what needs an address that is known: it is not, from here on.
+            // The direction does not matter: the base is unknown from here on.
             self.set(base, Unknown);
         }
     }
@@ -384,7 +385,7 @@ impl Machine<'_> {
                 let by = second >> 10 & 0x1c | second >> 6 & 3;
                 let kind = second >> 4 & 3;
                 let other = shifted(self.get(second & 15), kind, by);
-                // `lsls.w` is a move of a shifted register.
+                // `lsls.w` is coded as a move of a shifted register.
                 let is_shift = first >> 5 & 15 == ORR && first & 15 == PC && kind == 0;
                 let test = if is_shift { sign_test(self.get(second & 15), by) } else { None };
                 self.arithmetic(first, second, other, test);
@@ -496,7 +497,8 @@ impl Machine<'_> {
         if up && load && second >> 5 & 7 == 0 {
             return;
         }
-        // An exclusive store may fail, and so is no access. Whatever is written to is not known.
+        // An exclusive store may fail, so it does not count as an access. Every register that may be written is
+        // unknown.
         for register in [one, other, second & 15] {
             self.set(register, Unknown);
         }
@@ -533,8 +535,8 @@ impl Machine<'_> {
         }
     }
 
-    /// vstr, vldr, vpush, vpop, and moves of two core registers. What the floating-point unit stores is none of the
-    /// accesses that are looked for.
+    /// vstr, vldr, vpush, vpop, and moves of two core registers. Stores of the floating-point unit are not among the
+    /// accesses that are checked.
     fn float_memory(&mut self, first: u32, second: u32) {
         let (write_back, load) = (bit(first, 5), bit(first, 4));
         if first & 0xffe0 == 0xec40 {

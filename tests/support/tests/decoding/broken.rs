@@ -1,11 +1,11 @@
-//! Frames with something wrong, and the ones behind them.
+//! The decoders with broken frames, and with valid frames behind them.
 
 use receiver::{Protocol, RECOVERY_FRAMES, Receiver};
 
 use test_support::wire::{self, BOTH, Random, listening, received_us, send};
 
-/// A broken frame, and 7 ms later a good one, which must arrive. Returns whether the broken one came through,
-/// and with which channels.
+/// Sends a broken frame and, 7 ms later, a valid one, which must be decoded. Returns the channels of the broken frame
+/// if it was decoded.
 fn then_a_good_one(
     receiver: &mut Receiver,
     protocol: Protocol,
@@ -33,8 +33,8 @@ fn no_single_bit_flip_gives_a_wrong_crsf_frame() {
             flipped[bit / 8] ^= 1 << (bit % 8);
             start_us += 20_000;
             assert_eq!(then_a_good_one(&mut receiver, Protocol::Crsf, start_us, &flipped), None, "bit {bit}");
-            // With the next frame directly behind it, a flip in the length takes that frame's first bytes for the
-            // rest of this one; where the checksum happens to fit, the channels are still those that were sent.
+            // If the next frame follows directly, a flipped bit in the length makes the first bytes of that frame the
+            // rest of this one. If the checksum then happens to match, the channels are still those that were sent.
             start_us += 20_000;
             let both = [flipped, wire::crsf_channels(&next)].concat();
             for frame in send(&mut receiver, Protocol::Crsf, start_us, &both) {
@@ -45,7 +45,7 @@ fn no_single_bit_flip_gives_a_wrong_crsf_frame() {
 }
 
 #[test]
-fn a_bit_flip_in_sbus_is_caught_by_the_parity_alone() {
+fn sbus_bit_flip_is_detected_only_by_parity() {
     let mut random = Random(2);
     let mut start_us = 0;
     let channels = random.channels();
@@ -59,7 +59,7 @@ fn a_bit_flip_in_sbus_is_caught_by_the_parity_alone() {
         let taken = then_a_good_one(&mut receiver, Protocol::Sbus, start_us, &flipped);
         wrong += u32::from(taken.is_some_and(|taken| taken != channels));
 
-        // A port that checks the parity reports the byte as an error.
+        // A port with parity check reports the byte as a line error.
         start_us += 20_000;
         let (before, after) = (&frame[..bit / 8], &frame[bit / 8 + 1..]);
         let mut frames = send(&mut receiver, Protocol::Sbus, start_us, before);
@@ -69,12 +69,12 @@ fn a_bit_flip_in_sbus_is_caught_by_the_parity_alone() {
         assert_eq!(frames, []);
         assert_eq!(then_a_good_one(&mut receiver, Protocol::Sbus, start_us + 7_000, &[]), None);
     }
-    // Without: each of the 176 bits of the channels gives one wrong channel.
+    // Without the parity check, each of the 176 channel bits gives one wrong channel.
     assert_eq!(wrong, 176);
 }
 
 #[test]
-fn a_line_error_spoils_its_frame_alone() {
+fn line_error_drops_only_its_frame() {
     for protocol in BOTH {
         let frame = wire::channels(protocol, &[500; 16]);
         for at in 0..frame.len() {
@@ -95,7 +95,7 @@ fn a_line_error_spoils_its_frame_alone() {
 }
 
 #[test]
-fn a_truncated_frame_is_none() {
+fn truncated_frames_are_dropped() {
     for protocol in BOTH {
         let frame = wire::channels(protocol, &[500; 16]);
         for length in 0..frame.len() {
@@ -108,7 +108,7 @@ fn a_truncated_frame_is_none() {
 }
 
 #[test]
-fn spliced_frames() {
+fn spliced_frames_are_caught_by_the_crsf_checksum() {
     let mut random = Random(3);
     for protocol in BOTH {
         let (mut spliced, mut wrong, mut last_lost, mut start_us) = (0, 0, 0, 0);
@@ -117,7 +117,7 @@ fn spliced_frames() {
             let (one, two) = (random.channels(), random.channels());
             let (first, second) = (wire::channels(protocol, &one), wire::channels(protocol, &two));
             for at in 1..first.len() {
-                // The beginning of one and the end of the other, and the beginning of one and the whole other.
+                // The start of one frame with the end of another, and the start of one with another whole frame.
                 let ended = [&first[..at], &second[at..]].concat();
                 start_us += 20_000;
                 let taken = then_a_good_one(&mut receiver, protocol, start_us, &ended);
@@ -135,10 +135,10 @@ fn spliced_frames() {
             "{protocol:?}: {wrong} wrong frames of {spliced} spliced ones, {last_lost} of the last lost"
         );
         match protocol {
-            // The same header, flags and footer: SBUS cannot tell (the port can: a byte lost is an overrun).
+            // Header, flags and footer are the same: SBUS cannot detect it. The port can: a lost byte is an overrun.
             Protocol::Sbus => assert!(wrong > 0),
-            // One of 256 has the right checksum. The frame behind the splice is lost if the bytes before it look
-            // like the beginning of a longer one, at which the pause finds the decoder still waiting.
+            // One of 256 has a matching checksum. The frame behind the splice is lost if the bytes before it look like
+            // the start of a longer frame, for which the decoder still waits when the pause comes.
             Protocol::Crsf => {
                 assert!(wrong < spliced / 256 * 5 / 4, "{wrong} of {spliced}");
                 assert!(last_lost < spliced / 2 / 8, "{last_lost}");
@@ -148,7 +148,7 @@ fn spliced_frames() {
 }
 
 #[test]
-fn the_second_good_frame_after_any_garbage_is_accepted() {
+fn second_good_frame_after_any_garbage_is_accepted() {
     let mut random = Random(4);
     for (protocol, period_us) in
         [(Protocol::Sbus, 7_000), (Protocol::Sbus, 14_000), (Protocol::Crsf, 4_000), (Protocol::Crsf, 40_000)]
@@ -157,7 +157,7 @@ fn the_second_good_frame_after_any_garbage_is_accepted() {
         for _ in 0..20_000 {
             let mut receiver = Receiver::new(protocol);
             let mut garbage: Vec<u8> = (0..random.below(80)).map(|_| random.byte()).collect();
-            // The worst that can stand at its end: the beginning of a frame.
+            // The worst case at the end of the garbage: the start of a frame.
             let beginning = wire::channels(protocol, &random.channels());
             garbage.extend(&beginning[..random.below(beginning.len() as u64) as usize]);
             send(&mut receiver, protocol, 10_000, &garbage);
@@ -175,7 +175,7 @@ fn the_second_good_frame_after_any_garbage_is_accepted() {
 }
 
 #[test]
-fn crsf_too_fast_for_pauses_recovers_too() {
+fn crsf_without_pauses_recovers_within_ten_frames() {
     let mut random = Random(5);
     let mut after = [0; 16];
     for _ in 0..20_000 {
@@ -191,7 +191,7 @@ fn crsf_too_fast_for_pauses_recovers_too() {
         });
         after[accepted.unwrap() as usize] += 1;
     }
-    println!("frames lost after garbage at 1,000 a second: {after:?}");
+    println!("count by frames lost after garbage, at 1,000 frames a second: {after:?}");
     let within_three: u32 = after[..4].iter().sum();
     assert!(within_three > 19_900 && after[10..].iter().sum::<u32>() == 0, "{after:?}");
 }

@@ -1,4 +1,4 @@
-//! A million random bytes.
+//! The decoders with a million random bytes.
 
 use receiver::{Frame, Protocol, Receiver};
 
@@ -6,8 +6,8 @@ use test_support::wire::{self, BOTH, Random, received_us};
 
 const BYTES: u64 = 1_000_000;
 
-/// The longest time that an uninterrupted run of frames spans, µs: frames at most `joined_us` apart. A run of
-/// one spans nothing.
+/// Returns the longest time that an uninterrupted run of frames spans, µs. In a run, frames are at most `joined_us`
+/// apart. A run of one frame spans 0.
 pub fn longest_run_us(frames: &[(u64, Frame)], joined_us: u64) -> u64 {
     let mut longest_us = 0;
     let mut run: Option<(u64, u64)> = None;
@@ -22,7 +22,7 @@ pub fn longest_run_us(frames: &[(u64, Frame)], joined_us: u64) -> u64 {
     longest_us
 }
 
-/// The time from one byte to the next.
+/// The time from one byte to the next, µs.
 type Pattern = fn(Protocol, u64, &mut Random) -> u64;
 
 const PATTERNS: [(&str, Pattern); 6] = [
@@ -39,7 +39,7 @@ const PATTERNS: [(&str, Pattern); 6] = [
     ),
 ];
 
-/// All frames found in `bytes`, each of which comes with the time since the one before.
+/// Returns all frames found in `bytes`. Each byte comes with the time since the one before, µs.
 fn found(protocol: Protocol, bytes: impl Iterator<Item = (u8, u64)>) -> Vec<(u64, Frame)> {
     let mut receiver = Receiver::new(protocol);
     let mut time_us = 0;
@@ -52,10 +52,10 @@ fn found(protocol: Protocol, bytes: impl Iterator<Item = (u8, u64)>) -> Vec<(u64
     frames
 }
 
-/// What to expect of a million bytes:
-/// - SBUS looks for a frame behind each of p·10⁶ pauses and needs 24 bytes without one, so that it finds
-///   10⁶ · p · (1 − p)²⁴ · 1/256 · 1/16 · 5/256 frames: 0.07 with p = 1/25. With bursts of 25 bytes there are
-///   40,000 tries and 0.19 frames; without pauses, or with nothing else, none.
+/// Expected number of frames in a million bytes:
+/// - SBUS looks for a frame behind each of p·10⁶ pauses and needs 24 bytes without a pause, so that it finds
+///   10⁶ · p · (1 − p)²⁴ · 1/256 · 1/16 · 5/256 frames: 0.07 with p = 1/25. Bursts of 25 bytes make
+///   40,000 tries and 0.19 frames. Without any pause, or with a pause before every byte, there are none.
 /// - CRSF: 10⁶ · 1/256 · 39/256 · 1/256 · 1/256 = 0.009.
 #[test]
 fn random_bytes_give_no_run_of_frames() {
@@ -66,7 +66,7 @@ fn random_bytes_give_no_run_of_frames() {
             let bytes = (0..BYTES).map(|n| (random.byte(), pattern(protocol, n, &mut random)));
             let frames = found(protocol, bytes);
             println!("{protocol:?}, {name}: {} frames", frames.len());
-            // Four where 0.19 are expected happen once in 20,000 times.
+            // Four frames where 0.19 are expected have a probability of 1 in 20,000.
             assert!(frames.len() < 4, "{protocol:?}, {name}: {}", frames.len());
             assert_eq!(longest_run_us(&frames, 1_000_000), 0);
             total += frames.len();
@@ -75,11 +75,11 @@ fn random_bytes_give_no_run_of_frames() {
     assert!(total < 4);
 }
 
-/// Garbage that does everything right that can be foreseen, so that the arithmetic above can be measured: SBUS
-/// bursts with the header in place pass with 1/16 · 5/256 (1 of 819), CRSF frames with a random checksum with
+/// Frames that are valid except for the checked bytes, which are random. They measure the probabilities above: SBUS
+/// bursts with the header in place pass with 1/16 · 5/256 (1 of 819), CRSF frames with a random checksum pass with
 /// 1/256.
 #[test]
-fn malicious_bytes_pass_as_often_as_computed() {
+fn malicious_frames_pass_at_the_computed_rate() {
     let frames = BYTES / 25;
     for (protocol, odds) in [(Protocol::Sbus, 16.0 * 256.0 / 5.0), (Protocol::Crsf, 256.0)] {
         let mut random = Random(8);
@@ -111,7 +111,7 @@ fn malicious_bytes_pass_as_often_as_computed() {
 }
 
 #[test]
-fn runs_are_measured() {
+fn longest_run_is_measured() {
     let frame = Frame { channels: [0; 16], failsafe: false, frame_lost: false, link_quality: None };
     let at = |times: &[u64]| times.iter().map(|time_us| (*time_us, frame)).collect::<Vec<_>>();
     assert_eq!(longest_run_us(&[], 10), 0);

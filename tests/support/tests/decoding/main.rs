@@ -1,4 +1,4 @@
-//! The decoders against frames made here, published frames, and garbage.
+//! The decoders of the receiver protocols with generated frames, published frames, and garbage.
 
 mod broken;
 mod garbage;

@@ -1,10 +1,11 @@
-//! Bytes as the firmware may fetch them.
+//! The decoders with bytes fetched at any interval that the firmware may use.
 
 use receiver::{Frame, GAP_US, Protocol, Receiver};
 
 use test_support::wire::{self, BOTH, Random, received_us, send};
 
-/// Two seconds of a receiver that sends every `period_us`, with link statistics behind every fifth frame.
+/// Returns two seconds of bytes from a receiver that sends every `period_us`, with link statistics behind every fifth
+/// frame.
 fn stream(protocol: Protocol, period_us: u64, random: &mut Random) -> Vec<(u8, u64)> {
     let mut bytes = vec![];
     for n in 0..2_000_000 / period_us {
@@ -20,7 +21,7 @@ fn stream(protocol: Protocol, period_us: u64, random: &mut Random) -> Vec<(u8, u
 
 fn receive(protocol: Protocol, bytes: impl Iterator<Item = (u8, u64)>) -> Vec<Frame> {
     let mut receiver = Receiver::new(protocol);
-    // So that the first frame has a pause before it.
+    // A first byte, so that a pause precedes the first frame.
     receiver.push(0, 0);
     bytes.filter_map(|(byte, time_us)| receiver.push(byte, time_us)).collect()
 }
@@ -41,7 +42,7 @@ fn chunks_of_any_size_give_the_same_frames() {
         let bytes = stream(protocol, period_us, &mut random);
         let expected = receive(protocol, bytes.iter().copied());
         assert_eq!(expected.len() as u64, 2_000_000 / period_us);
-        // Fetched by a task every so often, on average; the byte's time is when it is fetched.
+        // A task fetches the bytes, every `every_us` on average. The time of a byte is the time at which it is fetched.
         for every_us in [20, 100, 500, 1_000] {
             for _ in 0..20 {
                 let mut fetched_us = random.below(1_000);
@@ -59,7 +60,7 @@ fn chunks_of_any_size_give_the_same_frames() {
 }
 
 #[test]
-fn the_pause_lies_between_what_is_seen_within_and_between_frames() {
+fn gap_threshold_separates_bytes_from_frames() {
     let byte_us = received_us(Protocol::Sbus, 0);
     let frame_us = received_us(Protocol::Sbus, 24);
     for late_us in [0, 1_000, 1_879] {
@@ -68,16 +69,16 @@ fn the_pause_lies_between_what_is_seen_within_and_between_frames() {
 }
 
 #[test]
-fn sbus_is_not_looked_for_without_a_pause() {
+fn sbus_needs_a_pause_before_each_frame() {
     let frame = wire::sbus(&[992; 16], 0, 0);
     let mut receiver = Receiver::new(Protocol::Sbus);
     assert_eq!(send(&mut receiver, Protocol::Sbus, 10_000, &frame.repeat(50)), []);
-    // The frame behind the pause counts, those that follow it without one do not.
+    // The frame behind the pause is decoded; those that follow it without a pause are not.
     assert_eq!(send(&mut receiver, Protocol::Sbus, 500_000, &frame.repeat(3)).len(), 1);
 }
 
 #[test]
-fn a_clock_that_stands_or_steps_back_does_no_harm() {
+fn clock_that_stops_or_steps_back_is_harmless() {
     for protocol in BOTH {
         let frame = wire::channels(protocol, &[700; 16]);
         let mut receiver = Receiver::new(protocol);

@@ -1,11 +1,11 @@
-//! Frames as they should be.
+//! The decoders with valid frames.
 
 use receiver::{Counts, Frame, Protocol};
 
 use test_support::wire::{self, BOTH, listening, send};
 
 #[test]
-fn every_value_of_every_channel() {
+fn every_value_of_every_channel_is_decoded() {
     for protocol in BOTH {
         let mut receiver = listening(protocol);
         for value in 0..2_048_u16 {
@@ -20,9 +20,9 @@ fn every_value_of_every_channel() {
     }
 }
 
-/// ArduPilot, `AP_RCProtocol/examples/RCProtocolTest`: the frame, and what it means in µs, 0.625 a tick.
+/// From ArduPilot, `AP_RCProtocol/examples/RCProtocolTest`: the frame and its channels in µs, 0.625 µs a tick.
 #[test]
-fn published_sbus_frame() {
+fn published_sbus_frame_is_decoded() {
     let frame = [
         0x0f, 0x4c, 0x1c, 0x5f, 0x32, 0x34, 0x38, 0xdd, 0x89, 0x83, 0x0f, 0x7c, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0,
         0, 0, 0,
@@ -33,10 +33,10 @@ fn published_sbus_frame() {
     assert_eq!(us[8..], [875; 8]);
 }
 
-/// Betaflight, `src/test/unit/rx_crsf_unittest.cc`: two captured frames, whose checksum does not cover the
-/// address (there 0x00, the broadcast), and one made by hand.
+/// From Betaflight, `src/test/unit/rx_crsf_unittest.cc`: two captured frames, whose checksum does not cover the
+/// address (there 0x00, the broadcast), and one handwritten frame.
 #[test]
-fn published_crsf_frames() {
+fn published_crsf_frames_are_decoded() {
     let captured = [
         0x18, 0x16, 0xbd, 0x08, 0x9f, 0xf4, 0xae, 0xf7, 0xbd, 0xef, 0x7d, 0xef, 0xfb, 0xad, 0xfd, 0x45, 0x2b,
         0x5a, 0x01, 0, 0, 0, 0, 0, 0x6c,
@@ -50,7 +50,7 @@ fn published_crsf_frames() {
     };
     assert_eq!(receive(0xc8, &captured)[0].channels[..4], [189, 993, 978, 983]);
     assert_eq!(receive(0xc8, &second)[0].channels[..4], [189, 993, 978, 981]);
-    assert_eq!(receive(0x00, &captured), [], "not for a flight controller");
+    assert_eq!(receive(0x00, &captured), [], "a frame that is not addressed to a flight controller");
 
     let by_hand = [0xff, 0xff, 0, 0, 0x58, 0x01, 0, 0xf0, 0x01, 0x60, 0xe2, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0];
     let frame = wire::crsf(0xc8, 0x16, &by_hand);
@@ -63,7 +63,7 @@ fn published_crsf_frames() {
 }
 
 #[test]
-fn every_flag_and_footer_of_sbus() {
+fn sbus_accepts_only_valid_flags_and_footers() {
     let mut receiver = listening(Protocol::Sbus);
     let mut time_us = 0;
     for flags in 0..=u8::MAX {
@@ -84,7 +84,7 @@ fn every_flag_and_footer_of_sbus() {
 }
 
 #[test]
-fn link_quality_of_crsf() {
+fn crsf_link_quality_decides_whether_frames_are_live() {
     // Statistics from the tests of the `crsf` crate: uplink quality 99 %.
     let published = [0xc8, 12, 0x14, 16, 19, 99, 151, 1, 2, 3, 8, 88, 148, 252];
     let channels = wire::crsf_channels(&[992; 16]);
@@ -95,10 +95,10 @@ fn link_quality_of_crsf() {
     assert_eq!(at(8_000, &published), []);
     let frame = at(12_000, &channels)[0];
     assert_eq!((frame.link_quality, frame.is_live()), (Some(99), true));
-    // Back to back, as receivers send them.
+    // Statistics and channels back to back, as receivers send them.
     let frame = at(16_000, &[&wire::crsf_quality(0)[..], &channels].concat())[0];
     assert_eq!((frame.link_quality, frame.failsafe, frame.is_live()), (Some(0), true, false));
-    // A report grows old; without one, channels count by themselves.
+    // A report expires after a while. Without a report, channels are live by themselves.
     assert_eq!(at(500_000, &channels)[0].link_quality, Some(0));
     let frame = at(520_000, &channels)[0];
     assert_eq!((frame.link_quality, frame.is_live()), (None, true));
@@ -107,7 +107,7 @@ fn link_quality_of_crsf() {
 }
 
 #[test]
-fn other_crsf_frames_are_passed_over_and_longer_ones_read() {
+fn other_crsf_frames_are_skipped_and_longer_ones_read() {
     let channels = [300; 16];
     let frame = wire::crsf_channels(&channels);
     // "Frame size may be bigger than expected": tbs-crsf-spec, "Frame details".
@@ -131,11 +131,12 @@ fn other_crsf_frames_are_passed_over_and_longer_ones_read() {
 }
 
 #[test]
-fn line_settings() {
+fn line_settings_give_the_published_frame_times() {
     assert_eq!(wire::received_us(Protocol::Sbus, 24), 3_000);
     assert_eq!(wire::received_us(Protocol::Crsf, 25), 619);
     assert!(Protocol::Sbus.line().inverted && !Protocol::Crsf.line().inverted);
-    // USART2 of an STM32F405 runs at 42 MHz and divides by any sixteenth of 16: both rates are exact.
+    // USART2 of an STM32F405 runs at 42 MHz and divides by a multiple of 1/16 with 16 samples a bit: both rates are
+    // exact.
     for protocol in BOTH {
         assert_eq!(42_000_000 % protocol.line().baud, 0);
     }

@@ -1,4 +1,4 @@
-//! A permit cannot be duplicated.
+//! A permit cannot be copied or cloned.
 use flight_core::MotorPermit;
 
 fn two(permit: &MotorPermit) -> (MotorPermit, MotorPermit) {

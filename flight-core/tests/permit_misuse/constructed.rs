@@ -1,4 +1,4 @@
-//! A permit cannot be made: its field is private, and it has no constructor and no default.
+//! A permit cannot be constructed: its field is private, and it has no constructor and no default.
 use flight_core::MotorPermit;
 
 fn main() {

@@ -1,4 +1,4 @@
-//! A permit is used up by what it permits.
+//! A permit can be used only once: `apply` consumes it.
 use flight_core::MotorPermit;
 
 fn drive(permit: MotorPermit) {

@@ -1,0 +1,79 @@
+//! Runs the examples of every command's help.
+//!
+//! The commands are those that `sim-host --help` lists, so the test covers a new command without a change. The examples
+//! of one command run in order in one temporary directory, so an example can use the files of those before it.
+
+use std::path::Path;
+use std::process::{Command, Output};
+
+/// Examples that do not run here, with the reason. A test in `src/cli/mod.rs` parses them.
+const NOT_RUN: [(&str, &str); 4] = [
+    ("sim-host hil hover --qemu", "builds the firmware and needs QEMU; tests/tests/hil.rs flies it"),
+    ("sim-host hil hover --serial /dev/ttyUSB0 --log hover.csv", "needs a board at a serial port"),
+    ("sim-host cost estimator --quick", "builds the program studies; its tests run the example"),
+    ("sim-host paper --out paper", "builds the program studies; its tests run the example"),
+];
+
+/// Commands whose `--help` is that of the program `studies`, which it would build. `sim-host help` shows their example.
+const FORWARDED: [&str; 2] = ["cost", "paper"];
+
+fn sim_host(arguments: &[&str], directory: &Path) -> Output {
+    let mut program = Command::new(env!("CARGO_BIN_EXE_sim-host"));
+    program.args(arguments).current_dir(directory).env_remove("KESTREL_DATA").output().unwrap()
+}
+
+fn help(arguments: &[&str]) -> String {
+    let output = sim_host(arguments, Path::new("."));
+    assert_eq!(output.status.code(), Some(0), "{output:?}");
+    String::from_utf8(output.stdout).unwrap()
+}
+
+/// Returns the commands in the list of `sim-host --help`, without `help`.
+fn commands() -> Vec<String> {
+    let help = help(&["--help"]);
+    let list =
+        help.lines().skip_while(|line| *line != "Commands:").skip(1).take_while(|line| !line.is_empty());
+    let names = list
+        .filter_map(|line| line.strip_prefix("  ")?.split(' ').next())
+        .filter(|name| !["", "help"].contains(name));
+    names.map(str::to_owned).collect()
+}
+
+/// Returns the indented lines of the section "Example:".
+fn examples(help: &str) -> Vec<&str> {
+    let section = help.lines().skip_while(|line| *line != "Example:").skip(1);
+    section.map_while(|line| line.strip_prefix("  ")).collect()
+}
+
+#[test]
+fn examples_of_every_help_run_and_write_their_files() {
+    let commands = commands();
+    assert!(commands.len() >= 12, "{commands:?}");
+    let mut not_run = Vec::new();
+    for command in commands.iter().map(String::as_str).chain(["--help"]) {
+        let help = match command {
+            "--help" => help(&["--help"]),
+            forwarded if FORWARDED.contains(&forwarded) => help(&["help", forwarded]),
+            command => help(&[command, "--help"]),
+        };
+        let examples = examples(&help);
+        assert!(!examples.is_empty(), "{command}: the help has no example");
+        let directory = tempfile::tempdir().unwrap();
+        for example in examples {
+            if NOT_RUN.iter().any(|(listed, _)| *listed == example) {
+                not_run.push(example.to_owned());
+                continue;
+            }
+            let arguments: Vec<&str> = example.split(' ').collect();
+            assert_eq!(arguments[0], "sim-host", "{command}: {example}");
+            let output = sim_host(&arguments[1..], directory.path());
+            assert_eq!(output.status.code(), Some(0), "{example}: {output:?}");
+            for file in arguments.iter().filter(|argument| argument.contains('.')) {
+                assert!(directory.path().join(file).is_file(), "{example}: {file} does not exist");
+            }
+        }
+    }
+    let listed: Vec<&str> = NOT_RUN.iter().map(|(example, _)| *example).collect();
+    not_run.sort_by_key(|example| listed.iter().position(|listed| listed == example));
+    assert_eq!(not_run, listed, "NOT_RUN lists an example that no help has");
+}
