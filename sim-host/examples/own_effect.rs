@@ -31,7 +31,10 @@ fn fly(seed: u64, tau_s: f64) -> Result<Outcome, InputError> {
     let scene = Scene::load("steps")?;
     let mut flight = Flight::new(&scene, seed);
     let noise = NormalStreams::new(seed, "gyro.soft_mount");
-    flight.sensors_mut().gyro.push("gyro.soft_mount", Box::new(SoftMount { tau_s, noise_rad_s: 1.0e-3, noise }));
+    flight
+        .sensors_mut()
+        .gyro
+        .push("gyro.soft_mount", Box::new(SoftMount { tau_s, noise_rad_s: 1.0e-3, noise }));
     Ok(flight.run(&mut ()))
 }
 

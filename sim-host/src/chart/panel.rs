@@ -84,7 +84,7 @@ impl Panel {
     ) {
         let PlotArea { left, top, width, height } = *area;
         let (low, high) = self.range(scale, x_range);
-        let projection = Projection { x_range: x_range, values: (low, high), width, height };
+        let projection = Projection { x_range, values: (low, high), width, height };
         let (x_px, y_px) = (|x| projection.x(x), |y| projection.y(y));
         let at_px = |(x, y): (f64, f64)| (x_px(scale.coordinate(x)), y_px(scale.coordinate(y)));
 

@@ -13,8 +13,7 @@ const DT_S: f64 = 1e-3;
 /// Bound of the error that turns with consistent sensors leave, which is rounding only. A step in f32 loses up to 3 ε
 /// in the product and the normalisation, 3.6e-7 rad, with a random sign. The correction forgets it over τ, so that
 /// √(τ/2Δt) of them remain: 2.5e-5 rad with τ = 10 s. A systematic 1e-9 rad/s from the rounding of the rate adds τ
-/// times itself.
-/// 0.02° is ten times the sum.
+/// times itself. 0.02° is ten times the sum.
 const ROUNDING_DEG: f64 = 0.02;
 
 /// Flies legs, each with a rate, rad/s, and a time, s, and checks the error in every step: accurate presets must keep

@@ -8,14 +8,12 @@
 //!   The same image shows that the search finds panics: the initialisation of the board can panic, and does so if a
 //!   setting is out of range.
 //! - **The stack holds the worst nesting of handlers.** Each path through each function is followed with the depth of
-//! the
-//!   stack at each instruction; a path must return with the stack pointer with which it began. The bound is the sum of
-//!   the deepest path of calls from reset, of the deepest path from the worst handler of each priority in [`HANDLERS`],
-//!   and of the registers that the processor saves at each interruption.
+//!   the stack at each instruction; a path must return with the stack pointer with which it began. The bound is the sum
+//!   of the deepest path of calls from reset, of the deepest path from the worst handler of each priority in
+//!   [`HANDLERS`], and of the registers that the processor saves at each interruption.
 //! - **Every handler acknowledges its interrupt on every path.** A table lists the accesses that do so, and the vectors
 //!   that need none with the reason. No path of the handler returns before these accesses (`acknowledge.rs`).
-//! Interrupts
-//!   without a handler of their own go to the default handler, which never returns.
+//!   Interrupts without a handler of their own go to the default handler, which never returns.
 //! - **On a desk the motor pads stay inputs.** In the image that flies with `sim-host hil --serial`, no number is an
 //!   address of their port, or an address from which an offset reaches it.
 //!
@@ -26,11 +24,9 @@
 //! - That the code is reached at all, or in time: endless loops and waiting are not panics.
 //! - Faults: a load from a bad address is not detected. Faults stop the motors (`firmware/src/fault.rs`).
 //! - The stack *after* a panic has begun. If a panic overflows the stack, a fault follows, which resets the stack
-//! pointer
-//!   and stops the motors, as the panic would have done.
+//!   pointer and stops the motors, as the panic would have done.
 //! - The priorities, which the firmware writes at run time. A second bound, in which each handler interrupts all
-//! others,
-//!   does not depend on them, and is printed too.
+//!   others, does not depend on them, and is printed too.
 //! - How deep formatted values are nested: [`FORMATTED_DEPTH`] follows from their types.
 //!
 //! A call by a register is assumed to reach any function whose address occurs in the image, in data or in a
