@@ -30,12 +30,14 @@ pub fn unknown<'a>(field: &str, value: &str, valid: impl IntoIterator<Item = &'a
     InputError::new(format!("must be one of {}{near}", valid.join(", "))).field(field).value(value)
 }
 
-/// Checks that `minimum ≤ value ≤ maximum`.
+/// Checks that `minimum ≤ value ≤ maximum`. `unit` is empty for a number without a unit.
 pub fn in_range(field: &str, value: f64, minimum: f64, maximum: f64, unit: &str) -> Result<(), InputError> {
     if value >= minimum && value <= maximum {
         return Ok(());
     }
-    Err(InputError::new(format!("must be from {minimum} to {maximum} {unit}")).field(field).value(value))
+    Err(InputError::new(format!("must be from {minimum} to {maximum} {unit}").trim_end())
+        .field(field)
+        .value(value))
 }
 
 /// Does [`in_range`] for a key of an effect's table.

@@ -125,7 +125,7 @@ fn bare() -> Table {
          rates = { max_tilt_deg = 40.0, max_deg_s = 170.0, max_yaw_deg_s = 80.0, max_tilt_deg_s = 250.0 }
          filters = { prefilter_hz = 31.0, estimator = 'robust' }
          battery = { arm_v_per_cell = 3.6, critical_v_per_cell = 3.1 }
-         radio = { order = 'TAER', arm_channel = 7, mode_channel = 9, arm_by = 'sticks' }
+         rc = { order = 'TAER', arm_channel = 7, mode_channel = 9, arm_by = 'sticks' }
          mounting = { board = ['right', 'backward', 'down'], magnetometer = ['right', 'backward', 'down'] }";
     merge(table(more), &mut vehicle);
     bare.insert(VEHICLE.into(), vehicle.into());
@@ -713,7 +713,7 @@ fn words_are_those_of_the_errors() {
                 assert!(named.iter().all(|word| accepted((*word).into())), "{key}: {said}");
             }
             ("string" | "3 strings", _) if key == "include" => {
-                assert!(refused("no such word").contains("is no built-in scene"));
+                assert!(refused("no such word").contains("is not a built-in scene"));
                 assert_eq!(row.words(), BUILT_IN.iter().map(|scene| scene.name).collect::<Vec<_>>());
             }
             ("string" | "3 strings", _) => {

@@ -25,7 +25,7 @@ impl<T: Send + 'static> EffectParams for Loss<T> {
     type Effect = BoxedDelivery<T>;
 
     fn validate(&self, key: &str) -> Result<(), InputError> {
-        check::key_in_range(key, "probability", self.probability, 0.0, 1.0, "(a probability)")
+        check::key_in_range(key, "probability", self.probability, 0.0, 1.0, "")
     }
 
     fn build(&self, context: &BuildContext) -> BoxedDelivery<T> {

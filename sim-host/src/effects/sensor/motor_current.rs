@@ -35,7 +35,7 @@ impl EffectParams for MotorCurrent {
     fn validate(&self, key: &str) -> Result<(), InputError> {
         check::keys_in_range(key, "field_ut_per_a", self.field_ut_per_a, -1e3, 1e3, "µT/A")?;
         check::key_in_range(key, "supply_v", self.supply_v, 1.0, 1e3, "V")?;
-        check::key_in_range(key, "efficiency", self.efficiency, 0.01, 1.0, "(a fraction)")
+        check::key_in_range(key, "efficiency", self.efficiency, 0.01, 1.0, "")
     }
 
     fn build(&self, context: &BuildContext) -> BoxedSensorEffect {
