@@ -455,7 +455,7 @@ fn beside(document: &Table, row: &Row, key: &str) -> Option<Value> {
 fn end(document: &Table, row: &Row, text: &str) -> Option<f64> {
     let scene = || parsed(document).ok();
     match text {
-        "half the figure" => {
+        "half the nominal value" => {
             let vehicle = scene()?.vehicle;
             let figure = match row.key.split('.').nth(1)? {
                 "mass_kg" => vehicle.mass_kg,

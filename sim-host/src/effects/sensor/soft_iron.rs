@@ -25,7 +25,7 @@ impl EffectParams for SoftIron {
         check::keys_in_range(key, "matrix", self.matrix.into_iter().flatten(), -10.0, 10.0, "µT/µT")?;
         // Soft iron cannot make a reflection or a singular matrix, and a calibration could not correct them.
         let determinant = Mat3::from_rows(self.matrix).determinant();
-        check::key_in_range(key, "matrix (determinant)", determinant, 1e-3, 1e3, "")
+        check::key_in_range(key, "matrix", determinant, 1e-3, 1e3, "(determinant)")
     }
 
     fn build(&self, _: &BuildContext) -> BoxedSensorEffect {
