@@ -114,7 +114,7 @@ mod app {
     use tasks::{OVERDUE_US, PERIOD_US, sampling};
 
     use crate::board::{
-        self, BatteryAdc, Board, Imu, Magnetometer, Monitor, Outputs, RcReceiver, Sampler, Step, Watchdog,
+        self, BatteryAdc, Imu, Magnetometer, Monitor, Outputs, RcReceiver, Sampler, Step, Watchdog,
     };
     use crate::inbox::Inbox;
     use crate::recorder;
@@ -171,29 +171,17 @@ mod app {
         }
         #[cfg(feature = "bench")]
         crate::bench::begin(&board.config);
-        let Board {
-            sampler,
-            imu,
-            outputs,
-            monitor,
-            receiver,
-            battery_adc,
-            magnetometer,
-            watchdog,
-            watchdog_reset,
-            ..
-        } = board;
         let local = Local {
             controller,
-            sampler,
-            imu,
-            outputs,
-            monitor,
-            receiver,
-            battery_adc,
-            magnetometer,
-            watchdog,
-            watchdog_reset,
+            sampler: board.sampler,
+            imu: board.imu,
+            outputs: board.outputs,
+            monitor: board.monitor,
+            receiver: board.receiver,
+            battery_adc: board.battery_adc,
+            magnetometer: board.magnetometer,
+            watchdog: board.watchdog,
+            watchdog_reset: board.watchdog_reset,
             ticks: 0,
             last_tick_us: board::now_us(),
         };

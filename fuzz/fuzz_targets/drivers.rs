@@ -1,7 +1,7 @@
 //! Fuzzes the sensors' drivers with a bus that delivers arbitrary bytes, and with chips that were written to
 //! arbitrarily.
 //!
-//! A decoded sample equals the bytes. A working chip can be set up whatever was written to it before.
+//! A decoded sample equals the bytes. A working chip can be set up after any earlier writes.
 #![no_main]
 
 use std::cell::RefCell;

@@ -6,6 +6,8 @@
 use std::path::Path;
 use std::process::{Command, Output};
 
+use test_support::help::{commands, examples, run_example};
+
 /// Examples that do not run here, with the reason. A test in `src/cli/mod.rs` parses them.
 const NOT_RUN: [(&str, &str); 4] = [
     ("sim-host hil hover --qemu", "builds the firmware and needs QEMU; tests/tests/hil.rs flies it"),
@@ -28,26 +30,9 @@ fn help(arguments: &[&str]) -> String {
     String::from_utf8(output.stdout).unwrap()
 }
 
-/// Returns the commands in the list of `sim-host --help`, without `help`.
-fn commands() -> Vec<String> {
-    let help = help(&["--help"]);
-    let list =
-        help.lines().skip_while(|line| *line != "Commands:").skip(1).take_while(|line| !line.is_empty());
-    let names = list
-        .filter_map(|line| line.strip_prefix("  ")?.split(' ').next())
-        .filter(|name| !["", "help"].contains(name));
-    names.map(str::to_owned).collect()
-}
-
-/// Returns the indented lines of the section "Example:".
-fn examples(help: &str) -> Vec<&str> {
-    let section = help.lines().skip_while(|line| *line != "Example:").skip(1);
-    section.map_while(|line| line.strip_prefix("  ")).collect()
-}
-
 #[test]
 fn examples_of_every_help_run_and_write_their_files() {
-    let commands = commands();
+    let commands = commands(&help(&["--help"]));
     assert!(commands.len() >= 12, "{commands:?}");
     let mut not_run = Vec::new();
     for command in commands.iter().map(String::as_str).chain(["--help"]) {
@@ -64,13 +49,7 @@ fn examples_of_every_help_run_and_write_their_files() {
                 not_run.push(example.to_owned());
                 continue;
             }
-            let arguments: Vec<&str> = example.split(' ').collect();
-            assert_eq!(arguments[0], "sim-host", "{command}: {example}");
-            let output = sim_host(&arguments[1..], directory.path());
-            assert_eq!(output.status.code(), Some(0), "{example}: {output:?}");
-            for file in arguments.iter().filter(|argument| argument.contains('.')) {
-                assert!(directory.path().join(file).is_file(), "{example}: {file} does not exist");
-            }
+            run_example(example, directory.path(), sim_host);
         }
     }
     let listed: Vec<&str> = NOT_RUN.iter().map(|(example, _)| *example).collect();

@@ -34,7 +34,7 @@ fn clock_continues_when_its_counter_wraps() {
     }
 }
 
-/// A serial port with a receiver at the other end, which sends a frame every 10 ms whatever the port's settings.
+/// A serial port with a receiver at the other end, which sends a frame every 10 ms at any settings of the port.
 struct Wire {
     search: Search,
     port_set_for: Protocol,

@@ -7,17 +7,11 @@
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
-fn workspace() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
-}
-
-fn read(path: &Path) -> String {
-    std::fs::read_to_string(path).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
-}
+use test_support::pages::{anchors, pages, read, workspace};
 
 /// Returns the paragraphs of the page, without its formulas.
 fn paragraphs() -> Vec<String> {
-    let page = read(&workspace().join("docs/paper.md"));
+    let page = read("docs/paper.md");
     let outside = page.split("```").step_by(2).collect::<Vec<_>>().join("\n\n");
     outside.split("\n\n").map(|p| p.trim().to_owned()).filter(|p| !p.is_empty()).collect()
 }
@@ -138,26 +132,22 @@ fn every_equation_has_its_four_parts() {
 }
 
 #[test]
-fn paper_page_links_resolve() {
-    let paragraphs = paragraphs();
-    // The anchor of a heading: lower case, without punctuation, hyphens for spaces.
-    let anchors: BTreeSet<String> = paragraphs
-        .iter()
-        .filter_map(|p| p.strip_prefix('#').map(|p| p.trim_start_matches('#').trim()))
-        .map(|title| {
-            let kept = |c: &char| c.is_alphanumeric() || matches!(c, ' ' | '-' | '_');
-            title.to_lowercase().chars().filter(kept).map(|c| if c == ' ' { '-' } else { c }).collect()
-        })
-        .collect();
-    for paragraph in &paragraphs {
-        for target in paragraph.split("](").skip(1).filter_map(|rest| rest.split_once(')')).map(|(t, _)| t) {
-            match target.strip_prefix('#') {
-                Some(anchor) => assert!(anchors.contains(anchor), "no heading for #{anchor}"),
-                None => {
-                    let file = target.split('#').next().unwrap_or(target);
-                    assert!(workspace().join("docs").join(file).exists(), "no file {target}");
-                }
+fn links_of_every_page_resolve() {
+    for page in pages() {
+        let text = read(&page);
+        let outside = text.split("```").step_by(2).collect::<String>();
+        for (target, _) in outside.split("](").skip(1).filter_map(|rest| rest.split_once(')')) {
+            if target.starts_with("http") {
+                continue;
             }
+            let (file, anchor) = target.split_once('#').unwrap_or((target, ""));
+            let path =
+                if file.is_empty() { page.clone().into() } else { Path::new(&page).with_file_name(file) };
+            assert!(workspace().join(&path).exists(), "{page}: no file {target}");
+            assert!(
+                anchor.is_empty() || anchors(&read(&path)).contains(anchor),
+                "{page}: no heading for {target}"
+            );
         }
     }
 }
@@ -171,10 +161,10 @@ fn grouped(count: i64) -> String {
 /// `studies/src/cost/m4.toml`, which the image tests check.
 #[test]
 fn firmware_figures_on_pages_equal_the_budgets() {
-    let budgets: toml::Table = read(&workspace().join("tests/image/budgets.toml")).parse().unwrap();
+    let budgets: toml::Table = read("tests/image/budgets.toml").parse().unwrap();
     let last = |kind: &str, name: &str| budgets[kind][name][1].as_integer().unwrap();
     let instructions = |name: &str| grouped(last("instructions", name));
-    let means: toml::Table = read(&workspace().join("studies/src/cost/m4.toml")).parse().unwrap();
+    let means: toml::Table = read("studies/src/cost/m4.toml").parse().unwrap();
     let mean = |name: &str| {
         let mean = &means[name]["instructions"];
         mean.as_float().map_or_else(|| mean.as_integer().unwrap(), |mean| mean.round() as i64)
@@ -221,7 +211,7 @@ fn firmware_figures_on_pages_equal_the_budgets() {
             ],
         ),
     ] {
-        let text = read(&workspace().join(page)).split_whitespace().collect::<Vec<_>>().join(" ");
+        let text = read(page).split_whitespace().collect::<Vec<_>>().join(" ");
         for place in places {
             let mut parts = place.split(['{', '}']).enumerate();
             let expected: String = parts.by_ref().fold(String::new(), |text, (k, part)| match part {

@@ -1,20 +1,15 @@
 //! `docs/effects.md` against the program: the page has a row for every effect, in order, with every key.
 
 use std::collections::BTreeSet;
-use std::path::{Path, PathBuf};
 
 use sim_host::scene::{BUILT_IN, Scene};
+use test_support::pages::read;
 
 /// The shortest valid scene.
 const BARE: &str = "[scene]\nduration_s = 1.0\nseed = 1\nvehicle = \"os4\"\nimu = \"paper\"\n";
 
-fn workspace() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
-}
-
 fn page() -> String {
-    let path = workspace().join("docs/effects.md");
-    std::fs::read_to_string(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
+    read("docs/effects.md")
 }
 
 /// Returns every effect, in order of application.
@@ -101,7 +96,7 @@ fn ablation_tables_list_the_effects_of_their_scenes() {
 }
 
 #[test]
-fn footnotes_and_links_resolve() {
+fn footnotes_are_defined_and_used() {
     let page = page();
     let notes = |text: &str| -> BTreeSet<String> {
         text.split("[^")
@@ -118,20 +113,4 @@ fn footnotes_and_links_resolve() {
         .map(|line| line.trim_start_matches("[^").split_once("]: ").expect("a footnote").0.to_owned())
         .collect();
     assert_eq!(notes(&text.join("\n")), definitions);
-
-    // The anchor of a heading: lower case, without punctuation, hyphens for spaces.
-    let anchors: BTreeSet<String> = page
-        .lines()
-        .filter_map(|line| line.strip_prefix('#').map(|title| title.trim_start_matches('#').trim()))
-        .map(|title| {
-            let kept = |c: &char| c.is_alphanumeric() || matches!(c, ' ' | '-' | '_');
-            title.to_lowercase().chars().filter(kept).map(|c| if c == ' ' { '-' } else { c }).collect()
-        })
-        .collect();
-    for (target, _) in page.split("](").skip(1).filter_map(|rest| rest.split_once(')')) {
-        match target.strip_prefix('#') {
-            Some(anchor) => assert!(anchors.contains(anchor), "no heading for #{anchor}"),
-            None => assert!(workspace().join("docs").join(target).exists(), "no file {target}"),
-        }
-    }
 }

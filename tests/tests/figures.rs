@@ -3,9 +3,9 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
-use std::path::{Path, PathBuf};
 
 use serde::Deserialize;
+use test_support::pages::{read, workspace};
 
 /// Units of quantities that a program can measure. Bare numbers, counts of rows and the like are not figures.
 const UNITS: [&str; 25] = [
@@ -51,21 +51,10 @@ struct Source {
     unheld: Option<String>,
 }
 
-fn workspace() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
-}
-
-/// Returns the pages, relative to the workspace, except those that list words or changes.
+/// Returns the pages, except those that list words or changes.
 fn pages() -> Vec<String> {
-    let mut pages = vec!["README.md".to_owned()];
-    for entry in fs::read_dir(workspace().join("docs")).unwrap() {
-        let name = entry.unwrap().file_name().into_string().unwrap();
-        if name.ends_with(".md") && name != "glossary.md" {
-            pages.push(format!("docs/{name}"));
-        }
-    }
-    pages.sort();
-    pages
+    let all = test_support::pages::pages().into_iter();
+    all.filter(|page| !["CHANGELOG.md", "docs/glossary.md"].contains(&page.as_str())).collect()
 }
 
 /// Returns whether a line has a number with one of [`UNITS`].
@@ -82,7 +71,7 @@ fn has_figure(line: &str) -> bool {
 
 /// Returns the sections of a page that have a figure outside of code blocks: the headings `## …`, or "" before the first.
 fn sections_with_figures(page: &str) -> BTreeSet<String> {
-    let text = fs::read_to_string(workspace().join(page)).unwrap();
+    let text = read(page);
     let (mut section, mut code, mut found) = (String::new(), false, BTreeSet::new());
     for line in text.lines() {
         if line.starts_with("```") {
@@ -98,9 +87,8 @@ fn sections_with_figures(page: &str) -> BTreeSet<String> {
 
 #[test]
 fn every_section_with_figures_names_their_source() {
-    let path = workspace().join("docs/figures.toml");
-    let text = fs::read_to_string(&path).unwrap();
-    let sources: BTreeMap<String, BTreeMap<String, Source>> = toml::from_str(&text).unwrap();
+    let sources: BTreeMap<String, BTreeMap<String, Source>> =
+        toml::from_str(&read("docs/figures.toml")).unwrap();
     let (mut wrong, mut unheld) = (Vec::new(), Vec::new());
     for page in pages() {
         let found = sections_with_figures(&page);

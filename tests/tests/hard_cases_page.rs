@@ -4,13 +4,7 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-fn workspace() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
-}
-
-fn read(path: &Path) -> String {
-    std::fs::read_to_string(path).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
-}
+use test_support::pages::{read, workspace};
 
 fn patches() -> Vec<PathBuf> {
     let files = std::fs::read_dir(workspace().join("tests/protections")).unwrap();
@@ -31,7 +25,7 @@ fn sources(folder: &Path) -> String {
 
 /// Returns the cells of the page's tables by row, without headings.
 fn rows() -> Vec<Vec<String>> {
-    let page = read(&workspace().join("docs/hard-cases.md"));
+    let page = read("docs/hard-cases.md");
     let cells = |line: &str| line.trim_matches('|').split('|').map(|cell| cell.trim().to_owned()).collect();
     let rows = page.lines().filter(|line| line.starts_with("| ") && !line.starts_with("| case "));
     rows.map(cells).collect()
