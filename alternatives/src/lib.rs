@@ -1,7 +1,7 @@
 //! Algorithms that Kestrel could fly with and does not, for comparison.
 //!
 //! Each algorithm is written once, generic over f32 and f64 where the number format is compared. So the error that
-//! `sim-host cost` finds and the instructions counted on the emulated Cortex-M4F belong to the same code. It is a
+//! `sim-host cost` finds and the instructions counted on the Cortex-M4F of QEMU belong to the same code. It is a
 //! separate crate because code that does not fly does not belong in `flight-core`, and because the board cannot build
 //! `sim-host`. The flight image does not depend on it.
 #![no_std]

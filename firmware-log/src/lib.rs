@@ -6,8 +6,8 @@
 //!                                          the image (ELF): format strings
 //! ```
 //! The firmware sends only numbers. Their texts are in its image, in a section that is not flashed, so the decoder needs
-//! the same image as the one that runs. [`drain`] reads the bytes from any memory that can be read and written: that of an
-//! emulator, or a real one through a debug probe.
+//! the same image as the one that runs. [`drain`] reads the bytes from any memory that can be read and written: that of QEMU
+//! or of the emulator, or that of a board through a debug probe.
 //!
 //! ```no_run
 //! # fn memory() -> impl firmware_log::Memory { struct M; impl firmware_log::Memory for M {

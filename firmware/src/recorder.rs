@@ -2,7 +2,7 @@
 //!
 //! After a fault the record stays in RAM until the watchdog's reset; at the next start it is zeroed with all other
 //! variables. A probe that halts the core before the reset, or that reads while the board runs on a desk, gets the
-//! flight controller's last input and output, bit for bit. An emulator reads it at every step. `flight_core::record`
+//! flight controller's last input and output, bit for bit. The emulator reads it at every step. `flight_core::record`
 //! has the layout and the decoder.
 //!
 //! | word | content |

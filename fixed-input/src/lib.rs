@@ -1,4 +1,4 @@
-//! Five seconds of fixed input for the same steps on the host and on the emulated board.
+//! Five seconds of fixed input for the same steps on the host and on QEMU.
 //!
 //! This is not a flight: the loop is open, and the sensors do not react to the motors. The input exercises all stages of the
 //! chain with numbers that differ from step to step and are the same on every machine. It uses only integer arithmetic,
@@ -35,7 +35,7 @@ pub const PERIOD_US: u32 = 1_000;
 /// Number of words with which a step is compared: see [`words`].
 pub const WORDS_PER_STEP: usize = 10;
 
-/// Name of the file in the working directory to which the emulated board writes the words of all steps, little-endian.
+/// Name of the file in the working directory to which the firmware on QEMU writes the words of all steps, little-endian.
 pub const WORDS_FILE: &CStr = c"words.bin";
 
 /// Interval of receiver frames, slots: 50 Hz.

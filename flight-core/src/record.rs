@@ -1,7 +1,7 @@
 //! One step of the flight controller as words: its input and its result.
 //!
 //! The firmware keeps the last step in RAM at the symbol `FLIGHT_RECORD` (`firmware/src/recorder.rs`). A debug probe
-//! or an emulator can read it there, also after a crash. Floating-point numbers are stored as their bits, so a reader
+//! or the emulator can read it there, also after a crash. Floating-point numbers are stored as their bits, so a reader
 //! gets exactly the input of the flight controller. A host that runs its own flight controller on this input gets the
 //! same bits.
 //!

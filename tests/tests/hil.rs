@@ -1,4 +1,4 @@
-//! Hardware in the loop on QEMU: the firmware's image flies on an emulated STM32F405, with `sim-host` as its world,
+//! Hardware in the loop on QEMU: the firmware's image flies on QEMU's STM32F405, with `sim-host` as its world,
 //! through the real arming path, judged on the truth, and compared bit for bit with the flight in process.
 //!
 //! Each flight is flown twice. Flights without faults on the link are also compared with the flight in process: every
@@ -26,7 +26,7 @@ fn image() -> &'static Path {
     BUILT.get_or_init(|| hil::build(hil::PIPES).unwrap())
 }
 
-/// Every word that the flight code outputs, step by step, and the events among them.
+/// The outputs of the flight code: the words of each step, and all events.
 #[derive(Default, PartialEq)]
 struct Words {
     steps: Vec<[u32; 11]>,
@@ -57,7 +57,7 @@ fn fly_twice_on_qemu(scene: &Scene, faults: Faults) -> (Flown, Words, QemuExit) 
     let (again, words_again, _) = fly_once_on_qemu(scene, faults.clone());
     let (flown, words, exit) = fly_once_on_qemu(scene, faults);
     assert_eq!((&again.outcome, &again.report), (&flown.outcome, &flown.report), "{}", scene.name);
-    assert!(words_again == words, "{}: another flight", scene.name);
+    assert!(words_again == words, "{}: the two flights differ", scene.name);
     (flown, words, exit)
 }
 
@@ -272,7 +272,7 @@ fn hil_over_a_serial_port_equals_in_process() {
     let output_file = directory.join("hil-serial.txt");
     let out = File::create(&output_file).unwrap();
     // USART1 to 5 are not connected; USART6 is connected to a pseudo terminal.
-    let emulator = Command::new("qemu-system-arm")
+    let qemu = Command::new("qemu-system-arm")
         .args(["-machine", "netduinoplus2", "-icount", "shift=2,sleep=off"])
         .args(["-semihosting-config", "enable=on,target=native", "-display", "none", "-monitor", "none"])
         .args(["-serial", "null"].repeat(5))
@@ -283,7 +283,7 @@ fn hil_over_a_serial_port_equals_in_process() {
         .stderr(out)
         .spawn()
         .expect("qemu-system-arm runs: apt-get install qemu-system-arm");
-    let _emulator = KilledOnDrop(emulator);
+    let _qemu = KilledOnDrop(qemu);
     let start = Instant::now();
     let port = loop {
         let mut text = String::new();

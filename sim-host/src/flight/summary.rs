@@ -34,7 +34,7 @@ pub fn verdict(outcome: &Outcome) -> String {
     }
 }
 
-/// Formats a rate: `3.21 million`, or `2650` (typical of a flight on an emulated board).
+/// Formats a rate: `3.21 million`, or `2650` (typical of a flight on QEMU or on the emulator).
 fn rate(per_s: f64) -> String {
     if per_s >= 1.0e5 { format!("{:.2} million", per_s * 1e-6) } else { format!("{per_s:.0}") }
 }

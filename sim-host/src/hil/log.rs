@@ -1,7 +1,7 @@
 //! The firmware's log on QEMU, read from QEMU's memory while the firmware waits.
 //!
 //! The firmware logs into a ring buffer in RAM (the crate `firmware-log` has its layout). On a board a debug probe empties
-//! it. Here the emulated RAM is memory of a process that this program has started, and Linux lets this program read and
+//! it. Here the chip's RAM is memory of a process that this program has started, and Linux lets this program read and
 //! write it (`/proc/PID/mem`). QEMU's monitor gives the address of the RAM in that process, once, before the firmware
 //! starts.
 //!
@@ -26,7 +26,7 @@ use super::link::{OnTimeout, Wire};
 use super::qemu::Qemu;
 use input::InputError;
 
-/// Addresses of the emulated chip's RAM.
+/// Addresses of the RAM of QEMU's chip.
 const RAM: Range<u32> = 0x2000_0000..0x2002_0000;
 /// Name of the socket of QEMU's monitor, in QEMU's directory.
 const MONITOR: &str = "monitor.socket";
@@ -42,7 +42,7 @@ const MAX_MONITOR_POLLS: u32 = 50_000;
 /// A running QEMU that passes each line of the firmware's log to `print`.
 pub struct WithLog<P> {
     qemu: Qemu,
-    ram: EmulatedRam,
+    ram: ChipRam,
     control_block: u32,
     decoder: Decoder,
     print: P,
@@ -63,7 +63,7 @@ impl<P: FnMut(&Line)> WithLog<P> {
         // With -S QEMU waits for the monitor's command to start the firmware.
         let monitor = format!("unix:{MONITOR},server=on,wait=off");
         let qemu = Qemu::start_with(image, &["-S", "-qmp", &monitor])?;
-        let ram = EmulatedRam::of(&qemu).map_err(|error| {
+        let ram = ChipRam::of(&qemu).map_err(|error| {
             refused(format!("QEMU's memory cannot be read: {error} (a container may forbid it)"))
         })?;
         Ok(Self { qemu, ram, control_block, decoder, print, ended: false })
@@ -121,8 +121,8 @@ impl<P: FnMut(&Line)> Wire for WithLog<P> {
     }
 }
 
-/// The emulated RAM, in QEMU's memory.
-struct EmulatedRam {
+/// The chip's RAM, in QEMU's memory.
+struct ChipRam {
     memory: File,
     /// Address of the RAM in QEMU's memory.
     host_start: u64,
@@ -130,7 +130,7 @@ struct EmulatedRam {
     _monitor: Monitor,
 }
 
-impl EmulatedRam {
+impl ChipRam {
     /// Asks QEMU for the address of the RAM, and then starts the firmware.
     fn of(qemu: &Qemu) -> io::Result<Self> {
         let mut monitor = Monitor::open(&qemu.directory().join(MONITOR))?;
@@ -163,7 +163,7 @@ impl EmulatedRam {
     }
 }
 
-impl Memory for EmulatedRam {
+impl Memory for ChipRam {
     fn read(&mut self, address: u32, bytes: &mut [u8]) -> io::Result<()> {
         self.memory.read_exact_at(bytes, self.host_address(address, bytes.len())?)
     }

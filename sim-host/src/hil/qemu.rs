@@ -1,8 +1,8 @@
 //! QEMU's `netduinoplus2`, an STM32F405, at the other end of two named pipes.
 //!
 //! The pipes, QEMU's log and its output are in a temporary directory, which is removed when QEMU ends. The firmware
-//! opens `hil-down.fifo` to read and `hil-up.fifo` to write, by semihosting. With `-icount shift=2,sleep=off` the
-//! emulated time follows from the number of instructions, so a flight is the same every time.
+//! opens `hil-down.fifo` to read and `hil-up.fifo` to write, by semihosting. With `-icount shift=2,sleep=off`
+//! QEMU's time follows from the number of instructions, so a flight is the same every time.
 //!
 //! # When the firmware counts as silent
 //! The real time of an answer depends on the load of the machine, so it is no criterion. The firmware counts as silent

@@ -16,7 +16,7 @@ use input::InputError;
 /// Rate of the port, bits per second; 8 data bits, no parity, one stop bit. A step and its answer have at most 120 bytes,
 /// 1200 bits: 1.3 ms.
 pub const BAUD: u32 = 921_600;
-/// Longest wait for the answer to a frame. A USB converter alone may delay a byte by 16 ms; an emulated board on a busy
+/// Longest wait for the answer to a frame. A USB converter alone may delay a byte by 16 ms; QEMU on a busy
 /// machine may take much longer.
 const FRAME_WAIT: Duration = Duration::from_secs(2);
 /// Frames in a row without an answer that end the flight.

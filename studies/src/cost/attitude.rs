@@ -1,7 +1,7 @@
 //! The study `attitude`: attitude from gyroscope samples alone.
 //!
-//! The algorithms are those of the crate `alternatives`; the instructions of the same code are counted on the emulated
-//! core. A sample is the exact integral of the rates since the last one, so that the whole error is that of the
+//! The algorithms are those of the crate `alternatives`; the instructions of the same code are counted on
+//! QEMU. A sample is the exact integral of the rates since the last one, so that the whole error is that of the
 //! algorithm and its number format.
 
 use std::f64::consts::TAU;

@@ -1,6 +1,6 @@
-//! Costs on the Cortex-M4F: instructions counted on the emulated core, and bytes of flash.
+//! Costs on the Cortex-M4F: instructions counted on QEMU, and bytes of flash.
 //!
-//! The figures are committed in `m4.toml`. A test measures them again on the emulator and keeps the file up to date.
+//! The figures are committed in `m4.toml`. A test measures them again and keeps the file up to date.
 
 use std::collections::BTreeMap;
 use std::sync::LazyLock;

@@ -9,7 +9,7 @@
 //!
 //! | cost | from | deterministic |
 //! |---|---|---|
-//! | instructions on the Cortex-M4F | `m4.toml`, counted on the emulated core and checked by a test | yes |
+//! | instructions on the Cortex-M4F | `m4.toml`, counted on QEMU and checked by a test | yes |
 //! | a cost particular to the study: group delay, share of the processor | computed | yes |
 //! | ns on this machine | the shortest of several runs | no |
 //!

@@ -104,7 +104,7 @@ pub fn page(studies: &[Study]) -> String {
         }
         @for study in studies { (section(study)) }
         footer {
-            "Instructions are counted on an emulated Cortex-M4F. A processor at 168 MHz is assumed to need two cycles for each. \
+            "Instructions are counted on the Cortex-M4F of QEMU. A processor at 168 MHz is assumed to need two cycles for each. \
              Times are the shortest of several runs on the machine that made this page."
         }
     };

@@ -1,6 +1,6 @@
 //! Counts instructions on QEMU's Cortex-M4F.
 //!
-//! With `-icount shift=2` an instruction takes 4 ns of the emulator's virtual time. The emulator's timer TIM2 counts
+//! With `-icount shift=2` an instruction takes 4 ns of QEMU's virtual time. QEMU's timer TIM2 counts
 //! nanoseconds, so the difference of two readings is four times the number of instructions between them. Instructions
 //! are not cycles: on a chip, loads from flash, taken branches, divisions and `vsqrt` take more than one cycle. The
 //! calibration removes the instructions of the measurement itself; a thousand `nop`s check it.
@@ -21,7 +21,7 @@ unsafe fn HardFault(_frame: &ExceptionFrame) -> ! {
     }
 }
 
-/// Ends the emulation with status 0.
+/// Ends QEMU with status 0.
 pub fn exit() -> ! {
     loop {
         debug::exit(EXIT_SUCCESS);
@@ -40,7 +40,7 @@ impl InstructionCounter {
     pub fn start() -> Self {
         let Peripherals { TIM2: timer, .. } = Peripherals::take().expect("taken once");
         timer.psc().write(|w| w.psc().set(0));
-        // The period stays 0: with that the emulator's timer never ends a period.
+        // The period stays 0: with that QEMU's timer never ends a period.
         timer.cr1().write(|w| w.cen().set_bit());
         let mut counter = Self { timer, overhead: 0 };
         counter.calibrate();

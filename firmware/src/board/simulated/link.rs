@@ -16,7 +16,7 @@
 //! counted; the flight controller sees the gap in time.
 //!
 //! # The watchdog
-//! The emulator has none, and a real one would reset the board whenever the host is slow. The replacement has the same
+//! QEMU has none, and a real one would reset the board whenever the host is slow. The replacement has the same
 //! period of a second, measured by the frames' time, and the same effect: a reset of the chip, by SYSRESETREQ. The
 //! cause is kept in RAM that no start clears.
 

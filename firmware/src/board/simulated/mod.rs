@@ -4,20 +4,20 @@
 //!
 //! | features | chip | source |
 //! |---|---|---|
-//! | `qemu` | emulated | the table of `fixed-input`, timed by an interrupt that comes twice a millisecond |
-//! | `hil-qemu` | emulated | `sim-host` at the other end of two pipes |
-//! | `hil-usart` | emulated | `sim-host` at the other end of a serial port |
+//! | `qemu` | that of QEMU | the table of `fixed-input`, timed by an interrupt that comes twice a millisecond |
+//! | `hil-qemu` | that of QEMU | `sim-host` at the other end of two pipes |
+//! | `hil-usart` | that of QEMU | `sim-host` at the other end of a serial port |
 //! | `hil` | that of a flight board | `sim-host` at the other end of a serial port |
 //!
 //! No motor can turn: no pin is connected to a timer, and on a flight board the motor timers do not even have a clock.
 //!
-//! The emulator's limits determine much of this module (measured with 7.2). RCC reads as zero, so a flight board's
+//! QEMU's limits determine much of this module (measured with 7.2). RCC reads as zero, so a flight board's
 //! clock set-up would never end. SPI is a stub. Of the timers, only 2 to 5 count, at 1 GHz regardless of the clock
 //! tree. They interrupt at the end of their period, but have no compare interrupt, and restarting one gives its next
 //! interrupt a wrong time.
 //!
 //! # Cost of a step
-//! The emulator counts the instructions from the entry of the interrupt that brings a sample to the last write of a
+//! QEMU counts the instructions from the entry of the interrupt that brings a sample to the last write of a
 //! motor's compare value: TIM4 counts 250 MHz there, and with `-icount shift=2` an instruction takes 4 ns. The count
 //! includes the control loop's entry, its locks, the decoding of the frame, the flight controller with arming and
 //! failsafe, and the conversion of the pulses. It does not include the work that only the flight board does: starting
@@ -39,7 +39,7 @@ use crate::interrupts::WAKE_CONTROL_LOOP;
 use crate::stm32f405::dma::Stream;
 use crate::stm32f405::esc::{self, Lines, Pad, Timer};
 
-#[cfg_attr(feature = "qemu", path = "emulated.rs")]
+#[cfg_attr(feature = "qemu", path = "qemu.rs")]
 #[cfg_attr(not(feature = "qemu"), path = "on_a_desk.rs")]
 mod chip;
 #[cfg_attr(feature = "hil", path = "link.rs")]
@@ -71,7 +71,7 @@ const fn pad(timer: usize, channel: u8) -> Pad {
     Pad { timer: TIMERS[timer].registers, channel, complementary: false }
 }
 
-/// With this protocol the emulator's TIM4 has a prescaler of 3, with which it counts instructions.
+/// With this protocol QEMU's TIM4 has a prescaler of 3, with which it counts instructions.
 const LINES: Lines = Lines::new(
     esc::Outputs {
         timers: &TIMERS,

@@ -1,4 +1,4 @@
-//! Two named pipes in the emulator's working directory, by semihosting.
+//! Two named pipes in QEMU's working directory, by semihosting.
 
 use core::ffi::CStr;
 

@@ -1,5 +1,5 @@
 //! Five seconds of fixed input, and a record of the outputs, word by word, in a file on the host. After the table's
-//! last step the emulator exits with status 0. Before that, a line `icount,sample to motors,...` gives the cost of the
+//! last step QEMU exits with status 0. Before that, a line `icount,sample to motors,...` gives the cost of the
 //! steps.
 //!
 //! One timer ticks twice a millisecond, and simulates the IMU, the sample's deadline and SysTick:
@@ -45,8 +45,8 @@ pub fn config() -> Config {
 
 /// Starts the ticks, and prepares the first slot.
 pub fn begin(nvic: &mut NVIC) -> bool {
-    // 1 GHz divided to microseconds. Writing the period starts the alarm; until then the count must be small. The
-    // emulator's first period is too long by the time from power-up to this write, in whole microseconds. The timer
+    // 1 GHz divided to microseconds. Writing the period starts the alarm; until then the count must be small.
+    // QEMU's first period is too long by the time from power-up to this write, in whole microseconds. The timer
     // without a prescaler has counted that time in nanoseconds. It is subtracted here, early in a microsecond, so that
     // no further microsecond ends before the write.
     let since_power_up_ns = loop {
@@ -165,7 +165,7 @@ impl Magnetometer {
     }
 }
 
-/// The emulator has no watchdog.
+/// QEMU has no watchdog.
 pub struct Watchdog;
 
 impl Watchdog {

@@ -93,7 +93,7 @@ fn estimators_equal_the_host_and_stages_keep_their_budgets() {
     let mut counts = BTreeMap::new();
     let mut digests = BTreeMap::new();
     println!(
-        "{:34} {:>7} {:>8} {:>6}   instructions on the emulated Cortex-M4F",
+        "{:34} {:>7} {:>8} {:>6}   instructions on the Cortex-M4F of QEMU",
         "stage", "inputs", "mean", "max"
     );
     for line in output.lines() {
@@ -147,7 +147,7 @@ fn alternatives_image() -> PathBuf {
 /// Runs cargo in a separate target directory, because the outer build holds the lock of its own, and returns the
 /// directory of the images.
 fn build(arguments: &[&str]) -> PathBuf {
-    let target = Path::new(env!("CARGO_TARGET_TMPDIR")).join("emulated-board");
+    let target = Path::new(env!("CARGO_TARGET_TMPDIR")).join("qemu");
     let status = Command::new(env::var_os("CARGO").as_deref().unwrap_or(OsStr::new("cargo")))
         .current_dir(workspace())
         .args(arguments)
@@ -167,7 +167,7 @@ fn workspace() -> &'static Path {
 }
 
 fn fresh_directory(name: &str) -> PathBuf {
-    let directory = Path::new(env!("CARGO_TARGET_TMPDIR")).join("emulated-board-runs").join(name);
+    let directory = Path::new(env!("CARGO_TARGET_TMPDIR")).join("qemu-runs").join(name);
     if directory.exists() {
         fs::remove_dir_all(&directory).unwrap();
     }
@@ -178,7 +178,7 @@ fn fresh_directory(name: &str) -> PathBuf {
 /// Runs an image to its end in `directory`, and returns its output.
 fn run(image: &Path, directory: &Path) -> String {
     let accesses = directory.join("accesses.log");
-    let emulator = Command::new("qemu-system-arm")
+    let qemu = Command::new("qemu-system-arm")
         .current_dir(directory)
         .args(["-machine", "netduinoplus2", "-icount", "shift=2,sleep=off"])
         .args(["-semihosting-config", "enable=on,target=native"])
@@ -192,16 +192,16 @@ fn run(image: &Path, directory: &Path) -> String {
         .stderr(Stdio::piped())
         .spawn()
         .expect("qemu-system-arm runs: apt-get install qemu-system-arm");
-    let mut emulator = KilledOnDrop(emulator);
+    let mut qemu = KilledOnDrop(qemu);
     let mut printed = String::new();
-    emulator.0.stdout.take().unwrap().read_to_string(&mut printed).unwrap();
+    qemu.0.stdout.take().unwrap().read_to_string(&mut printed).unwrap();
     let mut errors = String::new();
-    emulator.0.stderr.take().unwrap().read_to_string(&mut errors).unwrap();
-    let status = emulator.0.wait().unwrap();
+    qemu.0.stderr.take().unwrap().read_to_string(&mut errors).unwrap();
+    let status = qemu.0.wait().unwrap();
     assert!(status.success(), "{status}\n{printed}{errors}");
     // Registers that QEMU does not model read as zero: an image that uses one proves nothing.
     let accesses = fs::read_to_string(accesses).unwrap_or_default();
-    assert!(accesses.is_empty(), "accesses that the emulator does not model:\n{accesses}");
+    assert!(accesses.is_empty(), "accesses that QEMU does not model:\n{accesses}");
     printed + &errors
 }
 

@@ -4,7 +4,7 @@
 //! function and of all functions that it calls, including their literals: the size that it would have alone, counted in
 //! full even if other code shares it. Setup code, tables elsewhere and the code that reports a panic are not included.
 //! To write the file again after a change:
-//! `KESTREL_WRITE_DOCS=1 cargo test -p image-tests --test emulated_board figures -- --ignored`.
+//! `KESTREL_WRITE_DOCS=1 cargo test -p image-tests --test qemu figures -- --ignored`.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -69,8 +69,8 @@ fn figures_of_the_alternatives_equal_the_file() {
 
 fn text(figures: &[(String, Figure)]) -> String {
     let mut text = String::from(
-        "# Costs on the emulated Cortex-M4F: mean number of instructions over the inputs, and bytes of flash.
-# Written by a test, which documents how they are measured: tests/image/tests/emulated_board/figures.rs.
+        "# Costs on the Cortex-M4F of QEMU: mean number of instructions over the inputs, and bytes of flash.
+# Written by a test, which documents how they are measured: tests/image/tests/qemu/figures.rs.
 ",
     );
     for (name, figure) in figures {

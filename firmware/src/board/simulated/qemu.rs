@@ -11,7 +11,7 @@ pub const NAME: &str = "QEMU netduinoplus2";
 /// Clock of TIM5, MHz.
 pub const TIM5_MHZ: u16 = 1_000;
 
-/// Clock of the serial port's baud-rate divider, Hz. The emulator ignores it.
+/// Clock of the serial port's baud-rate divider, Hz. QEMU ignores it.
 #[cfg(feature = "hil-usart")]
 pub const USART6_HZ: u32 = 16_000_000;
 
