@@ -2,7 +2,7 @@
 
 use crate::sample::Battery;
 
-/// Age of the last measurement above which the voltage counts as unknown, µs.
+/// The voltage counts as unknown if the last measurement is older than this, µs.
 const STALE_US: u32 = 2_000_000;
 /// Time for which the voltage must have been critical, µs: longer than a burst of full throttle lasts.
 const CRITICAL_US: u32 = 3_000_000;

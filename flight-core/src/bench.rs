@@ -5,7 +5,7 @@ use crate::arming::BenchMotor;
 use crate::range::{ConfigError, check};
 use crate::sample::BenchCommand;
 
-/// Age of the last command above which the motor stops, µs.
+/// The motor stops if the last command is older than this, µs.
 pub const BENCH_SILENT_US: u32 = 250_000;
 
 /// Limits of bench mode.

@@ -20,7 +20,7 @@ use crate::rc::{ArmBy, FlightMode, Gesture, Link, Requests, Sticks};
 use crate::sample::{ImuSample, Input, Output, RcFrame};
 use crate::tilt_limit::TiltLimit;
 
-/// Age of the last valid inertial sample above which the sensor counts as lost, µs.
+/// The IMU counts as lost if its last valid sample is older than this, µs.
 pub const IMU_LOST_US: u32 = 100_000;
 /// Time for which a missed deadline of the tasks prevents arming, µs.
 const OVERLOAD_US: u32 = 1_000_000;

@@ -59,10 +59,10 @@ pub struct CheckIns<const TASKS: usize> {
 impl<const TASKS: usize> CheckIns<TASKS> {
     /// Creates the state in which no task has checked in yet.
     ///
-    /// - `allowed_age_us`: for each task the age of its last check-in above which it is late, µs: its period plus the
-    ///   jitter of its runs.
-    /// - `grace_us`: time after `start_us` within which each task must check in first, µs. After its first check-in
-    ///   `allowed_age_us` applies.
+    /// - `allowed_age_us`: for each task the largest allowed age of its last check-in, µs: its period plus the jitter
+    ///   of its runs.
+    /// - `grace_us`: each task must check in for the first time within this time after `start_us`, µs. After its first
+    ///   check-in `allowed_age_us` applies.
     pub const fn new(allowed_age_us: [u64; TASKS], start_us: u64, grace_us: u64) -> Self {
         // Without tasks the watchdog could always be fed.
         const { assert!(TASKS >= 1 && TASKS <= 32) };

@@ -430,7 +430,7 @@ impl Chart {
         for (mark, label) in self.marks.iter().zip(self.mark_labels()) {
             let y = bottom - label.row as f64 * MARK_ROW;
             let x = LEFT + self.mark_px(mark);
-            // The line from the label down to the first plot; the plots draw their own part.
+            // The line from the label down to the first plot. Each plot draws the part of the line inside it.
             let _ = write!(
                 svg,
                 "<path class=\"m\" stroke=\"{}\" d=\"M{} {}V{}\"/>",

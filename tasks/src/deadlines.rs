@@ -56,7 +56,7 @@ impl Task {
     }
 }
 
-/// Age of the last check-in above which a task is late, µs, in the order of [`Task`]: the task's longest period, plus
+/// A task is late if its last check-in is older than this, µs, in the order of [`Task`]: the task's longest period, plus
 /// one more period for tasks that another task starts.
 const ALLOWED_AGE_US: [u64; 3] = [
     // The step without a lost sample comes after OVERDUE_US, and further ones after PERIOD_US each.

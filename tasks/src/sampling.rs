@@ -34,8 +34,8 @@ use crate::counters::COUNTERS;
 
 /// Time after which a burst is taken as hung, µs. A burst takes 13 µs.
 const BURST_LIMIT_US: i32 = 100;
-/// Wake-ups of the control loop without a finished run, above which the control loop is taken as hung and the motors
-/// stop: 20 periods are 20 ms, long before the watchdog resets the board.
+/// The control loop counts as hung, and the motors stop, after more wake-ups than this without a finished run. 20
+/// periods are 20 ms, long before the watchdog resets the board.
 pub const MAX_PENDING_WAKES: u32 = 20;
 
 /// The owner of the bus: FREE, DMA or SETUP.

@@ -66,8 +66,8 @@ impl Cause {
 /// which would be 22 to 62 s, and applies a written period only after some cycles of that clock. Therefore the watchdog
 /// is started, the update is awaited, and then the watchdog is fed.
 ///
-/// 0.68 s is longer than the 0.5 s for which erasing a 16 KiB flash sector stalls the core at most, with 32-bit
-/// parallelism.
+/// Erasing a 16 KiB flash sector with 32-bit parallelism stalls the core for at most 0.5 s. The shortest period, 0.68 s,
+/// is longer.
 pub struct Watchdog(IndependentWatchdog);
 
 /// Polls until the period has been applied: five cycles of the slowest clock, 0.3 ms. A poll takes about 8 cycles at

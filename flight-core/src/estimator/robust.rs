@@ -83,8 +83,8 @@ const REST_FORCE: f32 = 0.2;
 const REST_FAST_S: f32 = 0.02;
 const REST_SLOW_S: f32 = 0.5;
 const REST_FOR_S: f32 = 1.5;
-/// Difference between a steady rate and the known bias, plus three standard deviations, above which the rate is a
-/// slow turn, rad/s.
+/// A steady rate counts as a slow turn if its difference from the estimated bias exceeds this value plus three standard
+/// deviations, rad/s.
 const REST_BIAS_CHANGE: f32 = 1.0 * DEGREE;
 
 /// Averaging time of the horizontal and vertical part of the field, s.
@@ -95,8 +95,8 @@ const MIN_AGE_S: f32 = 1.0e-3;
 const FIELD_TOLERANCE: f32 = 0.1;
 /// Time after which a deviating field is accepted as the new one, s.
 const NEW_FIELD_S: f32 = 60.0;
-/// Time constant of the estimate of the field of the sensor itself, s, and the rate above which it is estimated,
-/// rad/s (23 °/s): without rotation it cannot be distinguished from the field of the world.
+/// Time constant of the estimate of the field of the sensor itself, s, and the smallest rate for the estimate, rad/s
+/// (23 °/s): without rotation this field cannot be distinguished from the field of the world.
 const OFFSET_TAU_S: f32 = 20.0;
 const OFFSET_RATE: f32 = 0.4;
 /// Largest estimate per axis, µT: a fifth of the Earth's field. A larger offset needs a calibration.
@@ -269,8 +269,8 @@ impl RobustFilter {
         self.bias = vec3(within(bias.x), within(bias.y), within(bias.z));
     }
 
-    /// Corrects the heading about the vertical so that the horizontal field points to magnetic north, if the field is
-    /// the known one.
+    /// Corrects the heading about the vertical so that the horizontal field points to magnetic north. Makes no
+    /// correction if strength and dip of the field differ too much from their means: see [`FIELD_TOLERANCE`].
     #[inline(always)]
     fn correct_heading(&mut self, gyro: Vec3<f32>, m: Vec3<f32>) {
         let field = self.q.rotate(m - self.magnetic.offset);

@@ -2,7 +2,7 @@
 
 use crate::sample::{LinkStatus, RcFrame};
 
-/// Age of the last frame above which the link counts as lost, µs: 25 frames of the slowest receivers (50 Hz).
+/// The link counts as lost if its last frame is older than this, µs: 25 frames of the slowest receivers (50 Hz).
 pub const RC_LOST_US: u32 = 500_000;
 /// Time for which frames must have arrived again before the link counts as restored, µs. Noise on the receiver's port
 /// that looks like a frame does not last that long.

@@ -136,7 +136,7 @@ impl Sticks {
     }
 }
 
-/// Throttle below which it counts as low.
+/// The throttle counts as low below this value.
 const LOW_THROTTLE: f32 = 0.05;
 /// Deflection beyond which the yaw stick counts as fully deflected.
 const FULL_YAW: f32 = 0.9;

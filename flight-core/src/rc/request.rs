@@ -10,9 +10,9 @@ pub const DISARM_HOLD_US: u32 = 500_000;
 /// pilot.
 pub const SWITCH_OFF_US: u32 = 100_000;
 
-/// Ticks above which a switch is on: three quarters of its travel, so that the middle of three positions is off.
+/// A switch is on above this position, ticks: three quarters of its travel, so that the middle of three is off.
 pub const SWITCH_ON_TICKS: u16 = CENTRE_TICKS + (HIGH_TICKS - CENTRE_TICKS) / 2;
-/// Ticks below which a switch is off for disarming: a quarter of its travel.
+/// A switch is off for disarming below this position, ticks: a quarter of its travel.
 pub const SWITCH_OFF_TICKS: u16 = LOW_TICKS + (CENTRE_TICKS - LOW_TICKS) / 2;
 
 /// The control with which the pilot arms and disarms.

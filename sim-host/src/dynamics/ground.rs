@@ -26,7 +26,7 @@ const REST_DEPTH_M: f64 = 0.001;
 /// Friction coefficient of rubber feet on dry ground.
 const FRICTION: f64 = 0.6;
 
-/// Sliding speed at which friction has risen to 70 % of its value, m/s.
+/// Sliding speed at which friction reaches 70 % of its value, m/s.
 const CREEP_M_S: f64 = 0.05;
 
 /// Force and torque of the ground on the body.

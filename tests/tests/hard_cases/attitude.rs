@@ -152,9 +152,10 @@ fn hour_of_tumbling_on_intermediate_axis_keeps_accuracy() {
 
 #[test]
 fn hour_of_f32_integration_drifts_by_rounding_only() {
-    // An hour in free fall without a field: the rounding errors of f32 add up. 3.6 million steps of 3 ε each would be
-    // 1.3 rad with equal signs; with random signs they are 6.8e-4 rad. The rounding of the rate itself, 3e-8 of 6
-    // rad/s, is 6.5e-4 rad in an hour if its sign never changed. 0.25° is three times the sum.
+    // The estimator gets no gravity and no magnetic field for an hour, so the rounding errors of f32 add up. 3.6
+    // million steps round by 3 ε each. With equal signs the sum is 1.3 rad, with random signs 6.8e-4 rad. The rate of
+    // 6 rad/s is itself rounded by a fraction of 3e-8. If the sign of this error never changes, it adds 6.5e-4 rad in
+    // an hour. The bound, 0.25°, is three times the sum of the two.
     for (name, params) in EstimatorParams::PRESETS.into_iter().filter(|(name, _)| is_accurate(name)) {
         let mut body = Body::at(Quaternion::IDENTITY, &params);
         let mut tumbling = Tumbling { rates: vec3(0.02, 6.0, 0.01) };
