@@ -1,7 +1,7 @@
 //! The command `emulator`: flies a scene with the flash image.
 //!
 //! Results go to standard output (with `--json` only one JSON object); the firmware's log and notes go to standard error.
-//! Exit codes: 0 success, 1 the flight failed, 2 bad input or usage.
+//! Exit codes: 0 success, 1 the flight failed, 2 bad input or usage, 130 interrupted.
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -43,11 +43,11 @@ From the sources, `cargo run --release -p emulator -- SCENE` is `emulator SCENE`
 struct Arguments {
     /// Built-in scene or scene file
     scene: String,
-    /// Built-in vehicle or vehicle file instead of the scene's; its configuration is stored in the board's flash
+    /// Built-in vehicle or vehicle file instead of the scene's; the board's flash gets its configuration
     #[arg(long, value_name = "NAME|F.toml")]
     vehicle: Option<String>,
     /// Seed of all random streams instead of the scene's
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "SEED")]
     seed: Option<u64>,
     /// Duration of the flight in seconds instead of the scene's
     #[arg(long, value_name = "S", allow_negative_numbers = true)]
@@ -67,7 +67,7 @@ struct Arguments {
     /// Write a log of the flight: sensor samples, truth and pulses
     #[arg(long, value_name = "F.csv")]
     log: Option<PathBuf>,
-    /// Print only one JSON object on standard output
+    /// Print the result as one JSON object; standard output then has nothing else
     #[arg(long)]
     json: bool,
 }

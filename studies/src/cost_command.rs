@@ -16,13 +16,13 @@ pub struct CostArguments {
     /// `estimator` also uses the recordings in the directory that the environment variable KESTREL_DATA names
     #[arg(value_name = "STUDY")]
     studies: Vec<String>,
-    /// Run fewer settings, seeds and repetitions: less than a minute in all
+    /// Run fewer settings, seeds and repetitions: all studies together take less than a minute
     #[arg(long)]
     quick: bool,
     /// Write a report with plots: one HTML file that needs no network
     #[arg(long, value_name = "F.html")]
     report: Option<PathBuf>,
-    /// Write STUDY.csv, which is the same in every run, and STUDY-timing.csv into this directory
+    /// Write two files for each study into this directory: STUDY.csv, equal in every run, and STUDY-timing.csv
     #[arg(long, value_name = "DIR")]
     csv: Option<PathBuf>,
 }

@@ -27,7 +27,7 @@ Example:
 )]
 #[command(arg_required_else_help = true, after_help = EXAMPLES)]
 struct Arguments {
-    /// Print the result as one JSON object on standard output, and nothing else there
+    /// Print the result as one JSON object; standard output then has nothing else
     #[arg(long, global = true)]
     json: bool,
     #[command(subcommand)]

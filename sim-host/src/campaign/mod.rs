@@ -97,7 +97,7 @@ impl FromStr for Shard {
     type Err = &'static str;
 
     fn from_str(text: &str) -> Result<Self, Self::Err> {
-        const ALLOWED: &str = "must be I/N, such as 1/8 to 8/8";
+        const ALLOWED: &str = "must be I/M, such as 1/8 to 8/8";
         let (part, parts) = text.split_once('/').ok_or(ALLOWED)?;
         let number = |text: &str| text.parse::<u64>().map_err(|_| ALLOWED);
         let (part, parts) = (number(part)?, number(parts)?);

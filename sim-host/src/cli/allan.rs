@@ -30,19 +30,19 @@ pub struct AllanArguments {
     /// Rows per second [default: from the times in the column time_s]
     #[arg(long, value_name = "R")]
     rate_hz: Option<f64>,
-    /// Averaging times: factors of 2 (octave), of 10 (decade), logarithmic steps or all
+    /// Averaging times, in samples. octave: 1, 2, 4, 8 ...; decade: 1, 2, 4, 10, 20 ...; log: 20 in each decade; all
     #[arg(long, value_enum, default_value_t = TausName::Octave)]
     taus: TausName,
-    /// Deviation to list and plot; the coefficients are always fitted to the overlapping one
+    /// Deviation to list and plot; the coefficients are always fitted to the overlapping deviation
     #[arg(long, value_enum, default_value_t = StatisticName::Overlapping)]
     statistic: StatisticName,
-    /// The columns are integrals (angles, velocities, phases) of the quantity to analyse
+    /// The columns contain integrals (angles, velocities, phases) of the quantity to analyse
     #[arg(long)]
     phase: bool,
     /// Write a plot of the deviations with their bounds, slopes and coefficients
     #[arg(long, value_name = "F.svg")]
     plot: Option<PathBuf>,
-    /// Write a sensor preset, for `imu = "F.toml"` in a scene
+    /// Write an IMU preset, for `imu = "F.toml"` in a scene
     #[arg(long, value_name = "F.toml")]
     imu: Option<PathBuf>,
     /// Write an imu.yaml for Kalibr, VINS or OpenVINS

@@ -25,7 +25,7 @@ use sim_host::{interrupt, log};
 #[command(name = "sim-host", version, about = "Simulator for the Kestrel flight controller", long_about = None)]
 #[command(arg_required_else_help = true, after_help = EXAMPLES)]
 struct Arguments {
-    /// Print the result as one JSON object on standard output, and nothing else there
+    /// Print the result as one JSON object; standard output then has nothing else
     #[arg(long, global = true)]
     json: bool,
     #[command(subcommand)]
@@ -49,7 +49,7 @@ Example:
   sim-host fly hover --log hover.csv --report hover.html
   sim-host fly windy-landing --runs 20 --out runs.csv")]
     Fly(FlyArguments),
-    /// Merge the shards of a campaign that `fly --runs N --shard I/N` has flown
+    /// Merge the shards of a campaign that `fly --runs N --shard I/M` has flown
     #[command(after_help = "\
 Example:
   sim-host fly hover --runs 4 --shard 1/2 --out part-1.csv
@@ -62,7 +62,7 @@ Example:
   sim-host hil hover --qemu
   sim-host hil hover --serial /dev/ttyUSB0 --log hover.csv")]
     Hil(HilArguments),
-    /// Simulate the sensors of a scene and write their samples with the truth
+    /// Simulate the sensors of a scene and write their samples and the truth
     #[command(after_help = "\
 Example:
   sim-host sense static --duration 60 --rate-hz 200 --out static.csv")]
@@ -79,7 +79,7 @@ Example:
   sim-host sense static --duration 600 --rate-hz 200 --out still.csv
   sim-host allan still.csv --plot allan.svg --imu imu.toml")]
     Allan(allan::AllanArguments),
-    /// Show the effects that a scene simulates, in order, the time that each takes, and the effects left out
+    /// List the effects of a scene in order, the computing time of each, and the effects that the scene does not name
     #[command(after_help = "\
 Example:
   sim-host plan windy-landing")]
@@ -98,12 +98,12 @@ Example:
 
 `sim-host paper --help` builds the program `studies` and shows the options.")]
     Paper(studies::ForwardedArguments),
-    /// Write the flight controller's configuration for a scene, as the record that a board reads at start
+    /// Write the flight controller's configuration of a scene as the stored configuration of a board
     #[command(after_help = "\
 Example:
   sim-host config hover --out config.bin")]
     Config(ConfigArguments),
-    /// Show the values derived from a vehicle file, the margins of its control loops and warnings; propose gains
+    /// Show the values derived from a vehicle file, the margins of the control loops, and warnings; propose gains
     #[command(after_help = "\
 Example:
   sim-host vehicle five-inch
@@ -125,19 +125,19 @@ struct FlyArguments {
     #[arg(long, value_name = "NAME|F.toml")]
     vehicle: Option<String>,
     /// Seed of all random streams [default: the scene's]
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "SEED")]
     seed: Option<u64>,
     /// Length of the flight in seconds [default: the scene's]
     #[arg(long, value_name = "S", allow_negative_numbers = true)]
     duration: Option<f64>,
-    /// Number of flights; the seed goes up by one with each
+    /// Number of flights; each flight has the seed of the previous one plus one
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u64).range(1..=1_000_000))]
     runs: u64,
-    /// Number of flights in parallel, without effect on the results [default: one for each core]
+    /// Number of flights at the same time; it does not change the results [default: one for each core]
     #[arg(long, value_name = "J", requires = "runs")]
     jobs: Option<NonZeroU16>,
-    /// Fly shard I of N of the runs; `merge` merges the files of all shards
-    #[arg(long, value_name = "I/N", requires_all = ["runs", "out"])]
+    /// Divide the runs into M shards and fly shard I, 1 to M; `merge` merges the files of all shards
+    #[arg(long, value_name = "I/M", requires_all = ["runs", "out"])]
     shard: Option<Shard>,
     /// Write the results, one row for each run
     #[arg(long, value_name = "F.csv", requires = "runs")]
@@ -179,7 +179,7 @@ struct HilArguments {
     #[arg(long, value_name = "FILE", conflicts_with = "serial")]
     image: Option<PathBuf>,
     /// Seed of all random streams [default: the scene's]
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "SEED")]
     seed: Option<u64>,
     /// Length of the flight in seconds [default: the scene's]
     #[arg(long, value_name = "S", allow_negative_numbers = true)]
@@ -193,13 +193,13 @@ struct HilArguments {
     /// Print the firmware's log on standard error; needs --qemu, Linux and the cargo feature firmware-log
     #[arg(long, conflicts_with = "serial")]
     firmware_log: bool,
-    /// Test of the link: flip one bit in every N-th frame to the board
-    #[arg(long, value_name = "N")]
+    /// Test of the link: flip one bit in every K-th frame to the firmware
+    #[arg(long, value_name = "K")]
     flip_bit_every: Option<NonZeroU32>,
-    /// Test of the link: drop all frames to the board from this time of the scene on, s
+    /// Test of the link: time in the scene at which frames to the firmware begin to be dropped, s
     #[arg(long, value_name = "T", requires = "delay_ms", value_parser = seconds_from_zero)]
     delay_at_s: Option<f64>,
-    /// Test of the link: time for which --delay-at-s drops frames, ms of the scene
+    /// Test of the link: time for which all frames to the firmware are dropped, from --delay-at-s on, ms
     #[arg(long, value_name = "D", requires = "delay_at_s")]
     delay_ms: Option<u32>,
 }
@@ -207,7 +207,7 @@ struct HilArguments {
 #[derive(clap::Args)]
 #[group(required = true, multiple = false)]
 struct BoardArguments {
-    /// Run the firmware on QEMU's board netduinoplus2
+    /// Run the firmware on QEMU's machine netduinoplus2
     #[arg(long)]
     qemu: bool,
     /// Fly the board at this serial port
@@ -229,16 +229,16 @@ struct SenseArguments {
     /// Built-in vehicle or vehicle file [default: the scene's]
     #[arg(long, value_name = "NAME|F.toml")]
     vehicle: Option<String>,
-    /// Write the samples as a log; without it they are only generated, as a measurement of speed
+    /// Write the samples to a log; without this option the command only measures the speed of the simulation
     #[arg(long, value_name = "F.csv")]
     out: Option<PathBuf>,
     /// Seed of all random streams [default: the scene's]
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "SEED")]
     seed: Option<u64>,
     /// Length in seconds [default: the scene's]
     #[arg(long, value_name = "S", allow_negative_numbers = true)]
     duration: Option<f64>,
-    /// Samples per second; for a scene that flies: 1000 divided by a whole number
+    /// Samples per second; for a scene with a pilot: 1000 divided by a whole number
     #[arg(long, value_name = "R", default_value_t = sim_host::scene::DEFAULT_RATE_HZ)]
     rate_hz: u32,
 }
@@ -259,7 +259,7 @@ struct ConfigArguments {
     /// Built-in vehicle or vehicle file [default: the scene's]
     #[arg(long, value_name = "NAME|F.toml")]
     vehicle: Option<String>,
-    /// File for the record
+    /// File for the stored configuration; it is written to the board's flash
     #[arg(long, value_name = "F.bin")]
     out: PathBuf,
 }
