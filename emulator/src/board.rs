@@ -34,7 +34,7 @@ use crate::timing::{HANDLERS, Handler, INSTRUCTIONS_PER_SECOND, handlers};
 /// Clock of the core after the firmware's set-up, Hz. SysTick uses it.
 const CORE_HZ: u64 = 168_000_000;
 
-/// Index of the inertial sensor's SPI among SPI1 to SPI3: the firmware uses SPI1.
+/// Index of the IMU's SPI among SPI1 to SPI3: the firmware uses SPI1.
 const IMU_SPI: usize = 0;
 
 /// Nominal supply of the microcontroller, mV.
@@ -105,9 +105,9 @@ pub struct Connection {
 pub struct Wiring {
     /// Board.
     pub board: ::board::Board,
-    /// Directions of the inertial sensor's axes in the vehicle.
+    /// Directions of the IMU's axes in the vehicle.
     pub imu_axes: Axes,
-    /// Maximum bit rate of the inertial sensor's bus, Hz.
+    /// Maximum bit rate of the IMU's bus, Hz.
     pub imu_max_hz: u64,
     /// Directions of the magnetometer's axes in the vehicle.
     pub magnetometer_axes: Axes,
@@ -297,7 +297,7 @@ impl Machine {
         self.is_motor_timer(address) || self.motor_others.iter().any(|range| range.contains(&address))
     }
 
-    /// Returns the inertial sensor.
+    /// Returns the IMU.
     pub fn imu(&mut self) -> &mut Imu {
         self.part.spi[IMU_SPI].chip_mut(0).expect("it was attached")
     }

@@ -12,11 +12,11 @@ use crate::rc_receiver::Protocol;
 /// and symbols are given by a part of their name.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Fault {
-    /// The inertial sensor has no supply.
+    /// The IMU has no supply.
     ImuDead(bool),
-    /// The inertial sensor loses its settings.
+    /// The IMU loses its settings.
     ImuReset,
-    /// One bit in this number of the inertial sensor's words is flipped.
+    /// One bit in this number of the IMU's words is flipped.
     ImuBitErrors(Option<u32>),
     /// The data-ready line is stuck at this level.
     ReadyStuck(Option<bool>),
@@ -27,7 +27,7 @@ pub enum Fault {
     /// The magnetometer was interrupted in the middle of a byte, and holds its data line low until it has received this
     /// number of clock pulses.
     MagnetometerInterrupted(u32),
-    /// The memory address of this stream of DMA2, which moves the inertial sensor's bytes, is unmapped.
+    /// The memory address of this stream of DMA2, which moves the IMU's bytes, is unmapped.
     StreamAddressUnmapped(usize, bool),
     /// The microcontroller's reset pin is pulled.
     ResetPin,

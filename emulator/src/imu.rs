@@ -1,4 +1,4 @@
-//! The inertial sensor on its board: an ICM-42688-P, its INT1 line, and their faults.
+//! The IMU on its board: an ICM-42688-P, its INT1 line, and their faults.
 //!
 //! The chip is `rigless`'s model, which has no interrupt output. This module makes INT1 from the settings that the firmware
 //! writes (datasheet DS-000347 rev 1.6): data ready on INT1 (`INT_SOURCE0` bit 3), polarity and mode (`INT_CONFIG`), and

@@ -80,7 +80,7 @@ impl Rules {
     /// Checks the DMA streams after an access to a register of a DMA controller; `written` says whether it was a write.
     ///
     /// Three rules: when a stream is enabled, it has no flag of an earlier transfer (RM0090, 10.3.17, "before setting EN").
-    /// Its count and addresses are not written while it is enabled (10.5.6 to 10.5.8). The inertial sensor's streams have the
+    /// Its count and addresses are not written while it is enabled (10.5.6 to 10.5.8). The IMU's streams have the
     /// highest priority of their controller.
     pub fn on_dma_access(&mut self, machine: &Machine, address: u64, written: bool, now_s: f64) {
         use dma2::Register::{Hisr, Lisr, S0cr, S1cr, S2cr, S3cr, S4cr, S5cr, S6cr, S7cr};
@@ -226,7 +226,7 @@ fn magnetometer_bus(machine: &Machine, wiring: &Wiring) -> Vec<String> {
     broken
 }
 
-/// Checks the inertial sensor's SPI: its bit rate, its mode (the sensor supports modes 0 and 3), and the chip selects of other
+/// Checks the IMU's SPI: its bit rate, its mode (the sensor supports modes 0 and 3), and the chip selects of other
 /// chips on the bus.
 fn imu_bus(machine: &Machine, wiring: &Wiring) -> Vec<String> {
     let instance = wiring.board.imu.bus[0].peripheral.as_str();

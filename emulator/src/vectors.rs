@@ -19,7 +19,7 @@ enum Source {
     Serial(String),
     /// The deadline timer.
     Deadline,
-    /// The DMA stream of the inertial sensor's burst.
+    /// The DMA stream of the IMU's burst.
     Burst,
 }
 

@@ -50,7 +50,7 @@ pub fn config() -> Config {
     Config { params: Params::default(), calibration: Some(Calibration::NONE) }
 }
 
-/// Returns whether the slot's inertial sample arrives.
+/// Returns whether the slot's IMU sample arrives.
 pub fn sample_arrives(slot: u32) -> bool {
     let lost = match slot {
         3_500..3_505 | 3_700..3_760 | 4_300..4_450 => true,
@@ -116,7 +116,7 @@ pub fn attitudes_digest(params: &EstimatorParams) -> Result<u32, ConfigError> {
 /// First slot in which the vehicle turns.
 pub const FLIGHT: u32 = 2_500;
 
-/// Returns the slot's inertial sample, whether it arrives or not.
+/// Returns the slot's IMU sample, whether it arrives or not.
 pub fn imu(slot: u32) -> ImuSample {
     // In counts of the chip: 16.4 per °/s, 2,048 per g.
     let (turn, shake) = if slot < FLIGHT { (0, 8) } else { (3_000, 60) };

@@ -52,7 +52,7 @@ pub struct Params {
     pub channels: ChannelMap,
     /// How the pilot arms and disarms.
     pub arm_by: ArmBy,
-    /// Which inertial sensors have enough noise to be checked for being stuck.
+    /// Which sensors of the IMU have enough noise for the stuck-sensor check.
     pub stuck_check: StuckCheck,
     /// Minimum battery voltage for arming, V: 0 to 100.
     pub min_arm_voltage_v: f32,

@@ -1,4 +1,4 @@
-//! The complete control chain. Each call of [`FlightController::step`] processes one sample of the inertial sensor.
+//! The complete control chain. Each call of [`FlightController::step`] processes one sample of the IMU.
 
 use crate::arithmetic::min;
 use crate::arming::table::Conditions;
@@ -63,7 +63,7 @@ pub struct FlightController {
     saturation: Saturation,
     pulses_us: [f32; 4],
     time_us: Option<u64>,
-    /// Time since the last valid inertial sample, µs; `u32::MAX` before the first one.
+    /// Time since the last valid IMU sample, µs; `u32::MAX` before the first one.
     imu_age_us: u32,
     /// Number of missed deadlines at the last step, and time since that number last changed, µs.
     missed_deadlines: u32,
@@ -128,7 +128,7 @@ impl FlightController {
 
     /// Runs one step of the chain: processes the new inputs and returns the motor commands.
     ///
-    /// Call it once per inertial sample, and also when a sample is overdue. A missing sample does not stop the flight
+    /// Call it once per IMU sample, and also when a sample is overdue. A missing sample does not stop the flight
     /// controller: the age of the last sample grows, and the pulses stay as they are until the next sample.
     ///
     /// A step whose time is not later than that of the last step returns the last output again, without an event. If
@@ -147,7 +147,7 @@ impl FlightController {
                 }
                 return self.output(None);
             }
-            // A longer time makes no difference: the inertial sensor and the link are lost after less than one
+            // A longer time makes no difference: the IMU and the link are lost after less than one
             // second.
             Some(last) => (false, (input.time_us - last).min(1_000_000) as u32),
             None => (true, 0),
@@ -230,7 +230,7 @@ impl FlightController {
     }
 
     /// Runs calibration, prefilter, gyro zero and estimator on the sensors that have new samples. Returns the time
-    /// that a new inertial sample covers, s: 0 after a gap, and `None` without a new sample.
+    /// that a new IMU sample covers, s: 0 after a gap, and `None` without a new sample.
     #[inline(always)]
     fn estimate(&mut self, input: &Input, dt_us: u32) -> Option<f32> {
         self.imu_age_us = self.imu_age_us.saturating_add(dt_us);
@@ -241,7 +241,7 @@ impl FlightController {
             self.restart_estimation();
         }
         let mag = input.mag.map(|sample| self.mag_prefilter.step(self.mag_model.apply(sample.counts)));
-        // A magnetometer sample without an inertial sample passes its prefilter; the estimator does not need it.
+        // A magnetometer sample without an IMU sample passes its prefilter; the estimator does not need it.
         let sample = imu?;
         self.imu_check.update(sample);
         // The time step of the estimator is the time since its last sample, not since the last step.

@@ -1,4 +1,4 @@
-//! Checks of inertial samples: invalid data, and axes that are stuck.
+//! Checks of IMU samples: invalid data, and axes that are stuck.
 
 use crate::arithmetic::max;
 use crate::sample::ImuSample;

@@ -26,7 +26,7 @@
 //! Items of 16 bits take two columns. Sensor and stick values are in counts and ticks, voltage, pulses and attitude
 //! are `f32`.
 //!
-//! Flags, from bit 8 of word 0 upward: inertial sample present, magnetometer sample present, receiver frame present,
+//! Flags, from bit 8 of word 0 upward: IMU sample present, magnetometer sample present, receiver frame present,
 //! battery measurement present, event present, motors driven, USB plugged in, maintenance requested, reset by the
 //! watchdog. Words and bits of an absent item, and unassigned bits, are zero.
 //!

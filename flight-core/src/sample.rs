@@ -22,7 +22,7 @@ pub struct Input {
     pub health: Health,
 }
 
-/// Counts of the inertial sensor, in the axes of the chip.
+/// Counts of the IMU, in the axes of the chip.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct ImuSample {

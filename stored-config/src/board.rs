@@ -1,7 +1,7 @@
 //! Reading of a record in a board's flash for the flight controller of that board.
 //!
 //! A record holds the vehicle's configuration and the sensors' calibration. The board's own properties, such as the
-//! mounting of its inertial sensor, are not from the record. A record is used as a whole or not at all: a part of it would
+//! mounting of its IMU, are not from the record. A record is used as a whole or not at all: a part of it would
 //! be the configuration of a vehicle that does not exist.
 
 use flight_core::{Config, FlightController, Params};
@@ -37,7 +37,7 @@ impl Refused {
 /// the mounting of `board`.
 ///
 /// The record gives the mounting of the board in the vehicle, and that of the magnetometer, which is not on the board. The
-/// mounting of the inertial sensor on the board is from `board`. The drivers set the sensors' rate and sensitivities. A
+/// mounting of the IMU on the board is from `board`. The drivers set the sensors' rate and sensitivities. A
 /// record with other values is refused, because its gains and calibration belong to another board.
 ///
 /// # Errors

@@ -115,7 +115,7 @@ fn noise_is_not_taken_for_a_receiver() {
     assert_eq!(wire.search.found(), None);
 }
 
-/// Returns the parameters of a board whose inertial sensor is mounted rotated.
+/// Returns the parameters of a board whose IMU is mounted rotated.
 fn board() -> Params {
     let mut board = Params::default();
     let mounting = Mat3 { rows: [vec3(0.0, 1.0, 0.0), vec3(1.0, 0.0, 0.0), vec3(0.0, 0.0, -1.0)] };

@@ -51,7 +51,7 @@ const OUTSIDE: [Outside; 7] = [
         state: ArmState::Disarmed,
     },
     Outside {
-        what: "inertial sensor dead",
+        what: "IMU dead",
         scene: "[[fault]]\nkind = \"dead\"\nsensor = \"imu\"\nat_s = 14.0\n",
         crash: Some(Crash::HardTouchDown),
         state: ArmState::Terminated,

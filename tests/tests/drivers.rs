@@ -20,7 +20,7 @@ use sim_host::scene::{BUILT_IN, Scene};
 const MS: u64 = 1_000_000;
 const FOR_EVER: std::ops::Range<u64> = 0..u64::MAX;
 
-/// Returns an inertial sample that encodes its number in all axes, so that a mixture of two samples is detected.
+/// Returns an IMU sample that encodes its number in all axes, so that a mixture of two samples is detected.
 fn numbered_imu(n: u16) -> ImuSample {
     let axis = |k: u16| (n.wrapping_mul(7).wrapping_add(k) & 0x3fff) as i16;
     ImuSample { gyro: [axis(1), axis(2), axis(3)], accel: [axis(4), axis(5), n as i16] }
@@ -34,7 +34,7 @@ fn numbered_mag(n: u16) -> [i32; 3] {
     [i32::from(n), -i32::from(n) - 1, i32::from(n) + 2]
 }
 
-/// Returns a clock and an inertial sensor whose samples are numbered in order.
+/// Returns a clock and an IMU whose samples are numbered in order.
 fn imu_chip() -> (Clock, chips::icm42688p::Icm42688p) {
     let clock = Clock::default();
     let mut n = 0;

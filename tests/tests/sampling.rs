@@ -1,4 +1,4 @@
-//! The flight board's path from the data-ready line to a sample (`tasks::sampling`), with the inertial sensor that
+//! The flight board's path from the data-ready line to a sample (`tasks::sampling`), with the IMU that
 //! `sim-host` simulates, and a DMA whose interrupt is a level, as on the chip.
 
 use std::cell::{Cell, RefCell};

@@ -515,7 +515,7 @@ impl Stm32f405 {
         let register = match stream {
             0 => Register::S0m0ar,
             3 => Register::S3m0ar,
-            _ => panic!("stream {stream} moves nothing of the inertial sensor"),
+            _ => panic!("stream {stream} moves nothing of the IMU"),
         };
         let registers = self.bus.slot_mut(self.slots.dma[1]).registers_mut();
         let address = registers.get(register);

@@ -45,7 +45,7 @@ fn matek_flies_with_each_esc_protocol() {
     }
 }
 
-/// On this board the motor timers and the inertial sensor use the same DMA controller.
+/// On this board the motor timers and the IMU use the same DMA controller.
 #[test]
 fn fault_on_matek_stops_the_motors() {
     let flown = fly_board(

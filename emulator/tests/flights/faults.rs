@@ -65,7 +65,7 @@ fn receiver_connected_late_is_found() {
     );
 }
 
-// The inertial sensor.
+// The IMU.
 
 #[test]
 fn absent_imu_at_power_up_prevents_arming_without_reset() {
@@ -156,7 +156,7 @@ fn interrupted_magnetometer_byte_is_clocked_out() {
     assert_eq!((lines("magnetometer lost"), lines("magnetometer found")), (1, 2), "{}", story(&flown));
 }
 
-// The DMA of the inertial sensor.
+// The DMA of the IMU.
 
 /// The memory address of a DMA stream is unmapped: the burst fails, or does not end. The fault lasts 20 ms; a flight is
 /// terminated after 100 ms without samples.

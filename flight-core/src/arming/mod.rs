@@ -99,9 +99,9 @@ pub enum Cause {
     RcBack = 4,
     /// The throttle is not low.
     ThrottleUp = 5,
-    /// No valid inertial samples arrive.
+    /// No valid IMU samples arrive.
     ImuLost = 6,
-    /// An axis of the inertial sensor reads a constant value.
+    /// An axis of the IMU reads a constant value.
     ImuStuck = 7,
     /// The sensors have not been calibrated.
     NoCalibration = 8,
@@ -169,11 +169,11 @@ impl Cause {
             Self::Pilot => "by the pilot",
             Self::Checked => "checks passed",
             Self::BenchLock => "outputs locked by USB",
-            Self::RcLost => "receiver lost",
-            Self::RcBack => "receiver back",
+            Self::RcLost => "link lost",
+            Self::RcBack => "link back",
             Self::ThrottleUp => "throttle not low",
-            Self::ImuLost => "inertial sensor lost",
-            Self::ImuStuck => "inertial sensor stuck",
+            Self::ImuLost => "IMU lost",
+            Self::ImuStuck => "IMU stuck",
             Self::NoCalibration => "not calibrated",
             Self::NotStill => "not still",
             Self::NotLevel => "not level",

@@ -13,16 +13,14 @@ bitflags! {
         const ARM = 1 << 0;
         /// The pilot requests disarming: the disarm gesture held for 0.5 s, or the arm switch off for 0.1 s.
         const DISARM = 1 << 1;
-        /// No frame has come from the receiver for 0.5 s, or the receiver reports a lost link, or frames have arrived
-        /// again for less than 0.5 s.
+        /// The link is lost: no frame has come from the receiver for 0.5 s, or the receiver reports link loss, or frames
+        /// have arrived again for less than 0.5 s.
         const RC_LOST = 1 << 2;
         /// The last throttle position was 5 % or more.
         const THROTTLE_UP = 1 << 3;
-        /// No valid inertial sample for 0.1 s: no sample at all, or only samples with the code of the sensor for
-        /// "invalid".
+        /// The IMU has sent no valid sample for 0.1 s: no sample at all, or only samples with its code for invalid data.
         const IMU_LOST = 1 << 4;
-        /// An axis of the inertial sensor has read the same value for 0.1 s, and the value is not at the end of the
-        /// sensor's range.
+        /// An axis of the IMU has read the same value for 0.1 s, and the value is not at the end of its range.
         const IMU_STUCK = 1 << 5;
         /// The vehicle has not been at rest for 1 s, so that the gyroscope is not zeroed.
         const NOT_STILL = 1 << 6;

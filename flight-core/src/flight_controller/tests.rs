@@ -231,7 +231,7 @@ fn step_needs_later_time_or_a_clock_set_back() {
     let mut controller = started();
     assert_eq!(at(&mut controller, 1_000_000, 2_000), 1_000, "the same time again");
     assert_eq!(at(&mut controller, 999_990, 2_000), 1_000);
-    // Earlier by at most the permitted age of an inertial sample: the previous time stays valid.
+    // Earlier by at most the permitted age of an IMU sample: the previous time stays valid.
     assert_eq!(at(&mut controller, 900_000, 2_000), 1_000);
     assert_eq!(at(&mut controller, 950_000, 2_000), 1_000);
     assert_eq!(at(&mut controller, 1_000_001, 2_000), 2_000);

@@ -39,7 +39,7 @@ pub struct AllanArguments {
     /// The columns contain integrals (angles, velocities, phases) of the quantity to analyse
     #[arg(long)]
     phase: bool,
-    /// Write a plot of the deviations with their bounds, slopes and coefficients
+    /// Write a plot of the deviations with their confidence intervals, slopes and coefficients
     #[arg(long, value_name = "F.svg")]
     plot: Option<PathBuf>,
     /// Write an IMU preset, for `imu = "F.toml"` in a scene

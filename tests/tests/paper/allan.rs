@@ -145,7 +145,7 @@ struct Bench {
 
 impl Observer for Bench {
     fn step(&mut self, view: &StepView) {
-        let sample = view.input.imu.expect("the inertial sensor is sampled at every step");
+        let sample = view.input.imu.expect("the IMU is sampled at every step");
         for (sensor, counts) in [sample.gyro, sample.accel].into_iter().enumerate() {
             for (axis, counts) in counts.map(f64::from).into_iter().enumerate() {
                 // 1 g is subtracted on z, because it would cost digits of the variance.

@@ -246,7 +246,7 @@ struct ParallelEstimators {
 impl Observer for ParallelEstimators {
     fn step(&mut self, view: &StepView) {
         let dt_s = if view.time_us == 0 { 0.0 } else { 1e-3 };
-        let sample = view.input.imu.expect("the inertial sensor is sampled at every step");
+        let sample = view.input.imu.expect("the IMU is sampled at every step");
         let gyro = Vec3::from(sample.gyro.map(f32::from)) * self.rate_per_count;
         let accel = Vec3::from(sample.accel.map(f32::from)) * self.force_per_count;
         let [_, y, z] = sample.accel.map(f64::from);

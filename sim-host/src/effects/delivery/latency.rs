@@ -1,6 +1,6 @@
 //! Latency: what enters at t leaves at t + τ, in the same order.
 //!
-//! τ is rounded to whole steps of the stream. In flight a step is 1 ms for the inertial samples and the link. The
+//! τ is rounded to whole steps of the stream. In flight a step is 1 ms for the IMU samples and the link. The
 //! magnetometer's stream has one step for each of its samples, so there a step is 10 ms.
 
 use std::marker::PhantomData;

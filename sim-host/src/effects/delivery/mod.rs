@@ -2,8 +2,8 @@
 //! arrive late, get lost, or arrive wrong. One file for each effect.
 //!
 //! An effect is called at every step of its stream: with `Some` when there is a sample, with `None` when there is
-//! none. Each effect is written once for inertial samples, magnetometer samples and receiver frames. The streams
-//! of inertial samples and of the link step with the simulation; the magnetometer's stream has one step for each
+//! none. Each effect is written once for IMU samples, magnetometer samples and receiver frames. The streams
+//! of IMU samples and of the link step with the simulation; the magnetometer's stream has one step for each
 //! of its samples.
 
 mod faults;
@@ -60,7 +60,7 @@ impl From<BoxedDelivery<MagSample>> for MagEffect {
     }
 }
 
-/// An effect on the inertial samples, after it is built.
+/// An effect on the IMU samples, after it is built.
 pub enum ImuEffect {
     /// On the time at which the sensors sample the truth.
     Sampling(Jitter),
