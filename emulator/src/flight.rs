@@ -1,4 +1,4 @@
-//! A flight of the firmware on the emulated board in the world of a scene.
+//! A flight of the firmware on the emulator in the world of a scene.
 //!
 //! ```text
 //!  sample k due (the chip's own clock)                                sample k+1 due
