@@ -73,8 +73,8 @@ Example:
   sim-host sense stand-steps --out log.csv
   sim-host estimate log.csv --estimator paper flight
 
-A log of `sense` or `fly` has samples without calibration. The hard iron of the built-in scenes then makes the heading
-wrong: compare the inclination, or simulate a scene without hard iron.")]
+`estimate` corrects neither hard iron nor declination, and a simulated log contains both. The heading error is then large:
+compare the inclination.")]
     Estimate(EstimateArguments),
     /// Identify the errors of a sensor from a recording at rest, by its Allan deviation
     #[command(after_help = "\
