@@ -27,7 +27,7 @@ pub use summary::Summary;
 pub struct Campaign {
     /// Name of the scene, as on the command line.
     pub scene: String,
-    /// Hash of the texts of the scene, the scenes that it includes, its vehicle and its sensor preset.
+    /// Hash of the texts of the scene, the scenes that it includes, its vehicle and its IMU preset.
     pub scene_hash: u64,
     /// Version of the program.
     pub version: String,

@@ -214,10 +214,11 @@ const ENTRIES: [Entry; 9] = [
 pub fn preset(columns: &[Analysed], provenance: &Provenance) -> Result<String, InputError> {
     let imu = Imu::of(columns, "--imu")?;
     let mut text = format!(
-        "# A sensor preset, identified from a recording at rest by `sim-host allan --imu`.\n#\n{}#\n\
+        "# An IMU preset, identified from a recording at rest by `sim-host allan --imu`.\n#\n{}#\n\
          # A scene selects it with `imu = \"...\"` and names its effects, such as `[effects.gyro.white_noise]`. They then\n\
-         # have these values. ± is one standard deviation of the fit. N is two-sided: y = N/√Δt · w. An axis whose\n\
-         # recording does not show an error has the value 0. An effect that no axis shows is left out, with the reason.\n\n",
+         # have these values, unless the scene or a scene that it includes gives others. ± is one standard deviation of\n\
+         # the fit. N is two-sided: y = N/√Δt · w. An axis whose recording does not show an error has the value 0. An\n\
+         # effect that no axis shows is left out, with the reason.\n\n",
         header(provenance, columns)
     );
     converters(&mut text, &imu);

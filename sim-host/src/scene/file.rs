@@ -43,7 +43,7 @@ pub(super) struct SceneTable {
     /// The vehicle, loaded before this is parsed.
     #[serde(rename = "vehicle")]
     _vehicle: String,
-    /// The sensor preset, loaded before this is parsed: its values complete the effects.
+    /// The IMU preset, loaded before this is parsed: its values complete the effects.
     #[serde(rename = "imu")]
     _imu: String,
     #[serde(default)]

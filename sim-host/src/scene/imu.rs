@@ -1,4 +1,4 @@
-//! Sensor presets: the converters of the chips, and the values of their errors.
+//! IMU presets: the converters of the chips, and the values of their errors.
 //!
 //! A preset gives values, and a scene names effects. `imu = "paper"` alone adds no error: it sets the converters. An
 //! effect that the scene names without values takes those of the preset.

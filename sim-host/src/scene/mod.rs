@@ -198,7 +198,7 @@ impl Scene {
     /// Parses a scene from TOML; `name` names it in errors and results.
     ///
     /// # Errors
-    /// The text, an included scene, the vehicle or the sensor preset has an error.
+    /// The text, an included scene, the vehicle or the IMU preset has an error.
     pub fn parse(name: &str, text: &str) -> Result<Self, InputError> {
         Self::parse_with(name, text, &layers::read_text)
     }
@@ -254,7 +254,7 @@ impl Scene {
         })?;
         values_text = vehicle_values_toml(&design);
         let vehicle_values = layers.add(&format!("values of {vehicle_layer}"), &values_text)?;
-        let imu = string_in(&table, "imu", "sensor preset").map_err(|error| error.file(name))?;
+        let imu = string_in(&table, "imu", "IMU preset").map_err(|error| error.file(name))?;
         (preset_name, preset_text) = imu::find(&imu, Path::new(name), read)?;
         let (preset, preset_values) = ImuPreset::read(&mut layers, &preset_name, &preset_text)?;
         if let Some(DeValue::Table(effects)) = table.get_mut("effects").map(Spanned::get_mut) {
