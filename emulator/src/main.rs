@@ -28,7 +28,7 @@ use sim_host::scene::Scene;
 const EXAMPLES: &str = "\
 Example:
   emulator hover --duration 14 --log hover.csv
-  emulator windy-landing --vehicle five-inch --receiver sbus --firmware-log
+  emulator hover --vehicle five-inch --receiver sbus --firmware-log
 
 From the sources, `cargo run --release -p emulator -- SCENE` is `emulator SCENE`.";
 
