@@ -1,7 +1,7 @@
 //! The command `emulator`: flies a scene with the flash image.
 //!
 //! Results go to standard output (with `--json` only one JSON object); the firmware's log and notes go to standard error.
-//! Exit codes: 0 success, 1 the flight failed, 2 bad input or usage.
+//! Exit codes: 0 success, 1 the flight failed, 2 bad input or usage, 130 interrupted.
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -18,7 +18,7 @@ use emulator::rc_receiver::Protocol;
 use emulator::timing::INSTRUCTIONS_PER_SECOND;
 use input::InputError;
 use serde_json::{Value, json};
-use sim_host::command::{Answer, conclude};
+use sim_host::command::{Answer, conclude, number, parse, whole_number};
 use sim_host::flight::{FlightLog, summary};
 use sim_host::interrupt;
 use sim_host::output_file::check_outputs;
@@ -47,10 +47,10 @@ struct Arguments {
     #[arg(long, value_name = "NAME|F.toml")]
     vehicle: Option<String>,
     /// Seed of all random streams instead of the scene's
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", allow_negative_numbers = true, value_parser = whole_number::<u64>(0, u64::MAX))]
     seed: Option<u64>,
     /// Duration of the flight in seconds instead of the scene's
-    #[arg(long, value_name = "S", allow_negative_numbers = true)]
+    #[arg(long, value_name = "S", allow_negative_numbers = true, value_parser = number)]
     duration: Option<f64>,
     /// Image to fly; the default is the one that `cargo flash-fw` programs, built from the sources
     #[arg(long, value_name = "ELF")]
@@ -73,7 +73,7 @@ struct Arguments {
 }
 
 fn main() -> ExitCode {
-    let arguments = Arguments::parse();
+    let arguments: Arguments = parse();
     interrupt::install_handler();
     conclude(run(&arguments), arguments.json)
 }
