@@ -14,7 +14,7 @@ use toml::de::{DeArray, DeTable, DeValue, Deserializer};
 use xxhash_rust::xxh3::xxh3_64;
 
 use crate::InputError;
-use crate::expected::in_words;
+use crate::expected::{Found, in_words};
 
 /// A function that reads a file which a scene names.
 pub type ReadText<'a> = &'a dyn Fn(&Path) -> io::Result<String>;
@@ -177,12 +177,6 @@ impl<'a> Layers<'a> {
             self.text_at(span.start).and_then(|(_, text, base)| text.get(span.start - base..span.end - base));
         Found { value: value.get_ref(), text: text.unwrap_or_default() }
     }
-}
-
-/// A value of the wrong type, and how it is written.
-pub(crate) struct Found<'v> {
-    pub value: &'v DeValue<'v>,
-    pub text: &'v str,
 }
 
 fn deserialized<T: DeserializeOwned>(table: DeTable<'_>) -> Result<T, toml::de::Error> {
@@ -359,3 +353,6 @@ pub fn complete<'a>(over: &mut DeTable<'a>, under: &DeTable<'a>, yields: impl Fn
         }
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -241,21 +241,18 @@ impl Scene {
             }
         };
         vehicle_table = merge(altered, vehicle_table);
-        let design = Vehicle::from_table(&vehicle_name, &layers, &vehicle_table)
-            .and_then(|design| {
-                stiffness::check_legs(&design.params)
-                    .map_err(|error| layers.locate(error, &vehicle_table))
-                    .map(|()| design)
-            })
-            .map_err(|error| match (error.file_name(), error.field_name()) {
-                (None, _) => error.file(&vehicle_layer),
-                (Some(file), _) if file == vehicle_layer => error,
-                // The key is in the table `[vehicle]` of a scene.
-                (_, key) => {
-                    let key = format!("vehicle.{}", key.unwrap_or_default());
-                    error.field(key.trim_end_matches('.'))
-                }
-            })?;
+        let of_vehicle = |error: InputError| match (error.file_name(), error.field_name()) {
+            (None, _) => error.file(&vehicle_layer),
+            (Some(file), _) if file == vehicle_layer => error,
+            // The key is in the table `[vehicle]` of a scene.
+            (_, key) => {
+                let key = format!("vehicle.{}", key.unwrap_or_default());
+                error.field(key.trim_end_matches('.'))
+            }
+        };
+        let locate = |error| of_vehicle(layers.locate(error, &vehicle_table));
+        let design = Vehicle::from_table(&vehicle_name, &layers, &vehicle_table).map_err(of_vehicle)?;
+        stiffness::check_legs(&design.params).map_err(locate)?;
         values_text = vehicle_values_toml(&design);
         let vehicle_values = layers.add(&format!("values of {vehicle_layer}"), &values_text)?;
         let imu = string_in(&layers, &table, "imu", "sensor preset")
