@@ -20,17 +20,16 @@ pub(crate) fn in_words(message: &str, path: &str, found: Option<Found>) -> Input
     let message = message.split_whitespace().collect::<Vec<_>>().join(" ");
     let names: Vec<&str> = message.split('`').skip(1).step_by(2).collect();
     let of_table = |key: &str| format!("{path}.{key}").trim_start_matches('.').to_owned();
-    let start = |start: &str| message.strip_prefix(start);
     match &names[..] {
-        [key] if start("missing field").is_some() => InputError::missing().field(of_table(key)),
-        [_] if start("unknown field").is_some() => {
+        [key] if message.starts_with("missing field") => InputError::missing().field(of_table(key)),
+        [_] if message.starts_with("unknown field") => {
             InputError::new("unknown key: the table has no keys").field(path)
         }
-        [wrong, keys @ ..] if start("unknown field").is_some() => {
+        [wrong, keys @ ..] if message.starts_with("unknown field") => {
             let near = nearest(wrong, keys.iter().copied());
             InputError::new(format!("unknown key: must be one of {}{near}", keys.join(", "))).field(path)
         }
-        [wrong, words @ ..] if start("unknown variant").is_some() => {
+        [wrong, words @ ..] if message.starts_with("unknown variant") => {
             unknown(path, wrong, words.iter().copied())
         }
         _ => {
