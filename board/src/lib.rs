@@ -199,7 +199,10 @@ impl Board {
     pub fn load(name_or_path: &str) -> Result<Self, InputError> {
         let (place, text) = built_in_or_file("board", BUILT_IN, name_or_path, Path::new(""), &read_text)
             .map_err(|(path, error)| InputError::new(format!("cannot be read: {error}")).file(path))?
-            .ok_or_else(|| unknown("board", name_or_path, BUILT_IN.iter().map(|board| board.0)))?;
+            .ok_or_else(|| {
+                unknown("board", name_or_path, BUILT_IN.iter().map(|board| board.0))
+                    .also("; or the path of a board file, which ends in .toml")
+            })?;
         // A built-in name has no suffix.
         let name = Path::new(name_or_path).file_stem().map_or("".into(), |stem| stem.to_string_lossy());
         let plain = |c: char| c.is_ascii_alphanumeric() || "-_.".contains(c);
@@ -224,8 +227,8 @@ impl Board {
     pub fn parse(name: &str, place: &str, text: &str) -> Result<Self, InputError> {
         let mut layers = Layers::default();
         let table = layers.add(place, text)?;
-        let file: file::File = layers.read(table)?;
-        build(name, file).map_err(|error| if error.has_file() { error } else { error.file(place) })
+        let file: file::File = layers.read(&table)?;
+        build(name, file).map_err(|error| layers.locate(error, &table))
     }
 }
 
@@ -352,7 +355,7 @@ fn motors(table: &BTreeMap<String, file::Motor>, pins: &mut Pins) -> Result<[Mot
     for pad in PADS {
         let field = |key: &str| format!("motors.{pad}.{key}");
         let motor = table.get(pad).ok_or_else(|| {
-            InputError::new("is missing: all of M1 to M4 are required").field(format!("motors.{pad}"))
+            InputError::missing().field(format!("motors.{pad}")).also(": all of M1 to M4 are required")
         })?;
         let pin = pins.claim(&field("pin"), &motor.pin)?;
         if motor.timer == "TIM5" {

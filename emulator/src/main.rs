@@ -18,7 +18,7 @@ use emulator::rc_receiver::Protocol;
 use emulator::timing::INSTRUCTIONS_PER_SECOND;
 use input::InputError;
 use serde_json::{Value, json};
-use sim_host::command::{Answer, conclude};
+use sim_host::command::{Answer, conclude, number, parse, whole_number};
 use sim_host::flight::{FlightLog, summary};
 use sim_host::interrupt;
 use sim_host::output_file::check_outputs;
@@ -47,10 +47,10 @@ struct Arguments {
     #[arg(long, value_name = "NAME|F.toml")]
     vehicle: Option<String>,
     /// Seed of all random streams instead of the scene's
-    #[arg(long, value_name = "SEED")]
+    #[arg(long, value_name = "SEED", allow_negative_numbers = true, value_parser = whole_number::<u64>(0, u64::MAX))]
     seed: Option<u64>,
     /// Duration of the flight in seconds instead of the scene's
-    #[arg(long, value_name = "S", allow_negative_numbers = true)]
+    #[arg(long, value_name = "S", allow_negative_numbers = true, value_parser = number)]
     duration: Option<f64>,
     /// Image to fly; the default is the one that `cargo flash-fw` programs, built from the sources
     #[arg(long, value_name = "ELF")]
@@ -73,7 +73,7 @@ struct Arguments {
 }
 
 fn main() -> ExitCode {
-    let arguments = Arguments::parse();
+    let arguments: Arguments = parse();
     interrupt::install_handler();
     conclude(run(&arguments), arguments.json)
 }

@@ -2,17 +2,6 @@
 
 use crate::InputError;
 
-/// Adds the nearest valid name to a message such as "unknown field `x`, expected one of `a`, `b`".
-pub fn with_suggestion(message: &str) -> String {
-    let quoted: Vec<&str> = message.split('`').skip(1).step_by(2).collect();
-    match quoted.as_slice() {
-        [wrong, valid @ ..] if message.starts_with("unknown") => {
-            format!("{message}{}", nearest(wrong, valid.iter().copied()))
-        }
-        _ => message.into(),
-    }
-}
-
 /// Returns " (did you mean `…`?)" with the nearest valid name, or nothing if none is near. A name is near if its edit
 /// distance is at most 1 plus a third of its length.
 pub fn nearest<'a>(wrong: &str, valid: impl Iterator<Item = &'a str>) -> String {

@@ -12,6 +12,9 @@ use std::path::Path;
 /// file given as a log does not fill the screen.
 const MAX_VALUE_CHARS: usize = 60;
 
+/// What an error says about a key that must be given.
+const MISSING: &str = "is missing";
+
 /// What is wrong with the input, and where.
 ///
 /// Each caller adds the parts that it knows:
@@ -35,6 +38,22 @@ impl InputError {
         Self { file: None, line: None, field: None, value: None, allowed: allowed.into() }
     }
 
+    /// Returns the error for a key that must be given.
+    pub fn missing() -> Self {
+        Self::new(MISSING)
+    }
+
+    /// Returns whether this is [`InputError::missing`].
+    pub fn is_missing(&self) -> bool {
+        self.allowed == MISSING
+    }
+
+    /// Appends to what is allowed.
+    pub fn also(mut self, more: &str) -> Self {
+        self.allowed.push_str(more);
+        self
+    }
+
     /// Sets the file that the error is in.
     pub fn file(mut self, path: impl AsRef<Path>) -> Self {
         self.file = Some(path.as_ref().display().to_string());
@@ -44,6 +63,11 @@ impl InputError {
     /// Returns whether the file is set.
     pub fn has_file(&self) -> bool {
         self.file.is_some()
+    }
+
+    /// Returns the file, if it is set.
+    pub fn file_name(&self) -> Option<&str> {
+        self.file.as_deref()
     }
 
     /// Returns the column, key or option, if it is set.

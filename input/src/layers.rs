@@ -10,11 +10,11 @@ use std::path::{Path, PathBuf};
 
 use serde::de::DeserializeOwned;
 use toml::Spanned;
-use toml::de::{DeTable, DeValue, Deserializer};
+use toml::de::{DeArray, DeTable, DeValue, Deserializer};
 use xxhash_rust::xxh3::xxh3_64;
 
 use crate::InputError;
-use crate::check::with_suggestion;
+use crate::expected::{Found, in_words};
 
 /// A function that reads a file which a scene names.
 pub type ReadText<'a> = &'a dyn Fn(&Path) -> io::Result<String>;
@@ -78,8 +78,8 @@ impl<'a> Layers<'a> {
         let base = self.texts.last().map_or(0, |(_, text, base)| base + text.len() + 1);
         self.texts.push((name.into(), text, base));
         let table = DeTable::parse(text).map_err(|error| {
-            let span = error.span().map(|span| span.start + base);
-            self.error(error.message(), span)
+            let one_line = error.message().split_whitespace().collect::<Vec<_>>().join(" ");
+            self.at(InputError::new(one_line), error.span().map(|span| span.start + base))
         })?;
         Ok(shifted(table.into_inner(), base))
     }
@@ -88,9 +88,40 @@ impl<'a> Layers<'a> {
     ///
     /// # Errors
     /// A key that is unknown or missing; a value of the wrong type.
-    pub fn read<T: DeserializeOwned>(&self, table: DeTable<'a>) -> Result<T, InputError> {
-        T::deserialize(Deserializer::from(Spanned::new(0..0, table)))
-            .map_err(|error| self.error(error.message(), error.span().map(|span| span.start)))
+    pub fn read<T: DeserializeOwned>(&self, table: &DeTable<'a>) -> Result<T, InputError> {
+        let in_words = |error: toml::de::Error| {
+            // Without a span or with an empty one the error is about the whole table: a key is missing.
+            let at = error.span().filter(|span| !span.is_empty()).map(|span| span.start);
+            let found = at.and_then(|at| find(table, at));
+            let (path, value) = found.unwrap_or_default();
+            self.at(in_words(error.message(), &path, value.map(|value| self.written(value))), at)
+        };
+        let parsed = deserialized(table.clone()).map_err(in_words)?;
+        // The parser ignores further entries of an array of three. Such an array must not be empty, so that it is found by
+        // emptying it.
+        for at in long_arrays(table) {
+            let mut probe = table.clone();
+            empty(&mut probe, at);
+            if let Err(error) = deserialized::<T>(probe) {
+                return Err(in_words(error));
+            }
+        }
+        Ok(parsed)
+    }
+
+    /// Adds file and line of the key that an error names. If the key is not in the table, they are those of the innermost
+    /// table around it.
+    ///
+    /// The error may count the entries of an array of tables from 0: `fault[1].at_s`. The line says which one it is, so the
+    /// count is removed ([`without_counts`]).
+    pub fn locate(&self, error: InputError, table: &DeTable<'_>) -> InputError {
+        if error.has_file() {
+            return error;
+        }
+        let field = error.field_name().unwrap_or_default().to_owned();
+        let at = offset(table, &field);
+        let error = if field.contains('[') { error.field(without_counts(&field)) } else { error };
+        self.at(error, at)
     }
 
     /// Returns the hash of all texts. It includes each text's length, so that it changes when a line moves from one text
@@ -102,23 +133,127 @@ impl<'a> Layers<'a> {
         })
     }
 
-    fn error(&self, message: &str, at: Option<usize>) -> InputError {
-        let one_line = message.split_whitespace().collect::<Vec<_>>().join(" ");
-        let input_error = InputError::new(with_suggestion(&one_line));
-        // A span at 0 is the whole table: a key is missing. With several texts only the caller knows in which one it
-        // should be.
-        let Some(at) = at.filter(|at| *at > 0) else {
+    /// Returns the string under `key` of a table, if the key is present.
+    ///
+    /// # Errors
+    /// The value is not a string.
+    pub fn string(&self, table: &DeTable<'_>, key: &str) -> Result<Option<String>, InputError> {
+        let Some(value) = table.get(key) else { return Ok(None) };
+        match value.get_ref() {
+            DeValue::String(text) => Ok(Some(text.to_string())),
+            _ => {
+                let found = Some(self.written(value));
+                Err(self.at(in_words(", expected a string", key, found), Some(value.span().start)))
+            }
+        }
+    }
+
+    /// Adds the file and the line of an offset. Without an offset the file is known only if there is one text.
+    fn at(&self, error: InputError, at: Option<usize>) -> InputError {
+        let Some((at, (name, text, base))) = at.and_then(|at| Some((at, self.text_at(at)?))) else {
             return match &self.texts[..] {
-                [(name, ..)] => input_error.file(name),
-                _ => input_error,
+                [(name, ..)] => error.file(name),
+                _ => error,
             };
         };
-        let Some((name, text, base)) = self.texts.iter().rev().find(|(_, _, base)| at >= *base) else {
-            return input_error;
-        };
-        let before = &text[..(at - base).min(text.len())];
-        input_error.file(name).line(1 + before.matches('\n').count() as u64)
+        let before = text.bytes().take(at - base);
+        error.file(name).line(1 + before.filter(|byte| *byte == b'\n').count() as u64)
     }
+
+    /// Returns whether an offset is in a text that was added after the text of another offset.
+    pub fn is_after(&self, at: usize, other: usize) -> bool {
+        let base = |at| self.text_at(at).map(|(_, _, base)| *base);
+        base(at) > base(other)
+    }
+
+    fn text_at(&self, at: usize) -> Option<&(String, &'a str, usize)> {
+        self.texts.iter().rev().find(|(_, _, base)| at >= *base)
+    }
+
+    /// Returns a value as it is written in its text.
+    fn written<'v>(&'v self, value: &'v Spanned<DeValue<'v>>) -> Found<'v> {
+        let span = value.span();
+        let text =
+            self.text_at(span.start).and_then(|(_, text, base)| text.get(span.start - base..span.end - base));
+        Found { value: value.get_ref(), text: text.unwrap_or_default() }
+    }
+}
+
+fn deserialized<T: DeserializeOwned>(table: DeTable<'_>) -> Result<T, toml::de::Error> {
+    T::deserialize(Deserializer::from(Spanned::new(0..0, table)))
+}
+
+/// Returns the offsets of the arrays with more than three entries.
+fn long_arrays(table: &DeTable<'_>) -> Vec<usize> {
+    fn below(value: &Spanned<DeValue<'_>>) -> Vec<usize> {
+        match value.get_ref() {
+            DeValue::Table(table) => long_arrays(table),
+            DeValue::Array(entries) => {
+                let own = (entries.len() > 3).then(|| value.span().start);
+                own.into_iter().chain(entries.iter().flat_map(below)).collect()
+            }
+            _ => Vec::new(),
+        }
+    }
+    table.values().flat_map(below).collect()
+}
+
+/// Empties the array at an offset.
+fn empty(table: &mut DeTable<'_>, at: usize) {
+    fn below(value: &mut Spanned<DeValue<'_>>, at: usize) {
+        let here = value.span().start == at;
+        match value.get_mut() {
+            DeValue::Table(table) => empty(table, at),
+            DeValue::Array(entries) if here => *entries = DeArray::default(),
+            DeValue::Array(entries) => entries.iter_mut().for_each(|entry| below(entry, at)),
+            _ => {}
+        }
+    }
+    table.iter_mut().for_each(|(_, value)| below(value, at));
+}
+
+/// Returns the dotted key that an offset is at or whose value it is at, and the value. If there are several, the innermost
+/// counts.
+fn find<'t>(table: &'t DeTable<'t>, at: usize) -> Option<(String, Option<&'t Spanned<DeValue<'t>>>)> {
+    table.iter().find_map(|(key, value)| {
+        let below =
+            |(path, value)| (format!("{}.{path}", key.get_ref()).trim_end_matches('.').to_owned(), value);
+        if let Some(found) = find_in(value, at) {
+            return Some(below(found));
+        }
+        (key.span().start == at).then(|| (key.get_ref().to_string(), None))
+    })
+}
+
+fn find_in<'t>(
+    value: &'t Spanned<DeValue<'t>>,
+    at: usize,
+) -> Option<(String, Option<&'t Spanned<DeValue<'t>>>)> {
+    let inner = match value.get_ref() {
+        DeValue::Table(table) => find(table, at),
+        DeValue::Array(array) => array.iter().find_map(|item| find_in(item, at)),
+        _ => None,
+    };
+    inner.or_else(|| (value.span().start == at).then(|| (String::new(), Some(value))))
+}
+
+/// Returns the offset of a dotted key, or of the innermost table around it that exists.
+fn offset(table: &DeTable<'_>, field: &str) -> Option<usize> {
+    let (first, rest) = field.split_once('.').unwrap_or((field, ""));
+    let (name, entry) = first.trim_end_matches(']').split_once('[').unwrap_or((first, "0"));
+    let (key, value) = table.get_key_value(name)?;
+    let (start, inner) = match value.get_ref() {
+        DeValue::Table(inner) => (key.span().start, inner),
+        DeValue::Array(entries) => {
+            let entry = entries.get(entry.parse::<usize>().ok()?)?;
+            match entry.get_ref() {
+                DeValue::Table(inner) => (entry.span().start, inner),
+                _ => return Some(key.span().start),
+            }
+        }
+        _ => return Some(key.span().start),
+    };
+    offset(inner, rest).or(Some(start))
 }
 
 /// Returns the string under the top-level `key` of a text, if the key is present.
@@ -126,29 +261,22 @@ impl<'a> Layers<'a> {
 /// # Errors
 /// The text is not TOML; the value is not a string.
 pub fn text_at(name: &str, text: &str, key: &str) -> Result<Option<String>, InputError> {
-    let table = Layers::default().add(name, text)?;
-    string(&table, key).map_err(|error| error.file(name))
+    let mut layers = Layers::default();
+    let table = layers.add(name, text)?;
+    layers.string(&table, key)
 }
 
-/// Returns the string under `key` of a table, if the key is present.
-///
-/// # Errors
-/// The value is not a string.
-pub fn string(table: &DeTable<'_>, key: &str) -> Result<Option<String>, InputError> {
-    match table.get(key).map(Spanned::get_ref) {
-        None => Ok(None),
-        Some(DeValue::String(text)) => Ok(Some(text.to_string())),
-        Some(_) => Err(InputError::new("must be a string").field(key)),
-    }
+/// Returns a key without the counts of entries: `fault.at_s` for `fault[1].at_s`.
+pub fn without_counts(key: &str) -> String {
+    key.split('[').map(|part| part.split_once(']').map_or(part, |(_, rest)| rest)).collect()
 }
 
-/// Returns whether a table has a dotted key.
-pub fn has(table: &DeTable<'_>, dotted: &str) -> bool {
-    let (first, rest) = dotted.split_once('.').map_or((dotted, None), |(first, rest)| (first, Some(rest)));
-    match (table.get(first).map(Spanned::get_ref), rest) {
-        (Some(DeValue::Table(inner)), Some(rest)) => has(inner, rest),
-        (found, None) => found.is_some(),
-        _ => false,
+/// Adds file and line to an error about a key of a single text.
+pub fn located(name: &str, text: &str, error: InputError) -> InputError {
+    let mut layers = Layers::default();
+    match layers.add(name, text) {
+        Ok(table) => layers.locate(error, &table),
+        Err(_) => error.file(name),
     }
 }
 
@@ -202,8 +330,9 @@ pub fn merge<'a>(over: DeTable<'a>, mut under: DeTable<'a>) -> DeTable<'a> {
 }
 
 /// Adds missing keys to each table of `over` that is two levels deep (`gyro.white_noise`), from the table of the
-/// same name in `under`. Tables that `over` does not have are not added.
-pub fn complete<'a>(over: &mut DeTable<'a>, under: &DeTable<'a>) {
+/// same name in `under`. Tables that `over` does not have are not added. A value of `over` for which `yields` is true is
+/// replaced; `yields` gets its offset.
+pub fn complete<'a>(over: &mut DeTable<'a>, under: &DeTable<'a>, yields: impl Fn(usize) -> bool) {
     for (key, group) in over.iter_mut() {
         let (DeValue::Table(group), Some(DeValue::Table(preset))) =
             (group.get_mut(), under.get(key).map(Spanned::get_ref))
@@ -217,10 +346,13 @@ pub fn complete<'a>(over: &mut DeTable<'a>, under: &DeTable<'a>) {
                 continue;
             };
             for (key, value) in preset {
-                if !effect.contains_key(key) {
+                if effect.get(key).is_none_or(|present| yields(present.span().start)) {
                     effect.insert(key.clone(), value.clone());
                 }
             }
         }
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -6,6 +6,7 @@
 pub mod axes;
 pub mod check;
 mod error;
+mod expected;
 pub mod layers;
 
 pub use error::InputError;

@@ -63,7 +63,7 @@ fn sense_with_every_effect(bencher: Bencher) {
 }
 
 /// Does one 9-axis update of an estimator.
-#[divan::bench(args = ["paper", "paper-literal", "flight"])]
+#[divan::bench(args = EstimatorParams::PRESETS.map(|preset| preset.0))]
 fn estimator(bencher: Bencher, name: &str) {
     let (_, params) = EstimatorParams::PRESETS.into_iter().find(|p| p.0 == name).expect("a preset");
     let mut estimator = Estimator::new(&params).expect("presets are valid");

@@ -1,12 +1,15 @@
-//! Shared by the command-line programs: results as text and as JSON, exit codes, progress bars.
+//! Shared by the command-line programs: arguments, results as text and as JSON, exit codes, progress bars.
 
+use std::error::Error as _;
 use std::process::ExitCode;
 
+use clap::Parser;
+use clap::error::{ContextKind, ContextValue, ErrorKind};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
-use input::InputError;
+use input::{InputError, check};
 use serde_json::Value;
 
-use crate::output_file;
+use crate::{interrupt, output_file};
 
 /// Exit code of a failed flight or check.
 pub const FAILED: u8 = 1;
@@ -23,6 +26,64 @@ pub struct Answer {
     pub failed: bool,
 }
 
+/// Parses the arguments of the program. If a value is not permitted, prints one line with the option, the value and what
+/// is permitted, and ends the program.
+pub fn parse<T: Parser>() -> T {
+    T::try_parse().unwrap_or_else(|error| match bad_value(&error) {
+        Some(bad_value) => {
+            eprintln!("error: {bad_value}");
+            std::process::exit(BAD_INPUT.into())
+        }
+        None => error.exit(),
+    })
+}
+
+/// Returns the error for the value of an argument, or nothing for any other error.
+fn bad_value(error: &clap::Error) -> Option<InputError> {
+    let text = |kind| match error.get(kind)? {
+        ContextValue::String(text) => Some(text.as_str()),
+        _ => None,
+    };
+    // The name is followed by that of the value: `--seed <N>`.
+    let name = text(ContextKind::InvalidArg)?.split(' ').next()?;
+    let value = text(ContextKind::InvalidValue).filter(|value| !value.is_empty())?;
+    match (error.kind(), error.get(ContextKind::ValidValue)) {
+        (ErrorKind::ValueValidation, _) => {
+            Some(InputError::new(error.source()?.to_string()).field(name).value(value))
+        }
+        (ErrorKind::InvalidValue, Some(ContextValue::Strings(valid))) => {
+            Some(check::unknown(name, value, valid.iter().map(String::as_str)))
+        }
+        _ => None,
+    }
+}
+
+/// Returns a parser of arguments that accepts the whole numbers in a range.
+pub fn whole_number<T: TryFrom<u64>>(
+    minimum: u64,
+    maximum: u64,
+) -> impl Fn(&str) -> Result<T, String> + Clone + Send + Sync + 'static {
+    move |text| {
+        let number = text.parse().ok().filter(|number| (minimum..=maximum).contains(number));
+        number
+            .and_then(|number| T::try_from(number).ok())
+            .ok_or_else(|| format!("must be a whole number from {minimum} to {maximum}"))
+    }
+}
+
+/// Parses an argument that is a number; its range is checked later.
+///
+/// # Errors
+/// The text is not a number.
+pub fn number(text: &str) -> Result<f64, String> {
+    text.parse().map_err(|_| "must be a number".into())
+}
+
+/// Returns a name, and its description if there is one.
+pub fn heading(name: &str, description: &str) -> String {
+    if description.is_empty() { name.into() } else { format!("{name}: {description}") }
+}
+
 /// Prints an answer on standard output, or an error on standard error, and returns the exit code.
 pub fn conclude(answer: Result<Answer, InputError>, json: bool) -> ExitCode {
     let printed = answer.and_then(|answer| {
@@ -33,6 +94,8 @@ pub fn conclude(answer: Result<Answer, InputError>, json: bool) -> ExitCode {
         Ok(answer.failed)
     });
     match printed {
+        // The command failed because it was interrupted.
+        Ok(true) if interrupt::requested() => ExitCode::from(interrupt::INTERRUPTED),
         Ok(true) => ExitCode::from(FAILED),
         Ok(false) => ExitCode::SUCCESS,
         Err(error) => {

@@ -6,7 +6,7 @@ use std::sync::{Arc, OnceLock};
 use crate::output_file;
 
 /// Exit code after Ctrl-C, as in shells: 128 + 2 (SIGINT).
-const INTERRUPTED: i32 = 130;
+pub const INTERRUPTED: u8 = 130;
 
 /// The flag that Ctrl-C sets, once [`stop_flag`] has been called.
 static STOP: OnceLock<Arc<AtomicBool>> = OnceLock::new();
@@ -22,7 +22,7 @@ pub fn install_handler() {
             return;
         }
         output_file::remove_unfinished();
-        std::process::exit(INTERRUPTED);
+        std::process::exit(INTERRUPTED.into());
     });
 }
 
@@ -30,7 +30,12 @@ pub fn install_handler() {
 pub fn exit(message: &str) -> ! {
     eprintln!("{message}");
     output_file::remove_unfinished();
-    std::process::exit(INTERRUPTED);
+    std::process::exit(INTERRUPTED.into());
+}
+
+/// Returns whether the flag of [`stop_flag`] is set.
+pub fn requested() -> bool {
+    STOP.get().is_some_and(|stop| stop.load(Ordering::Relaxed))
 }
 
 /// Returns the flag that the first Ctrl-C sets from now on, instead of ending the program.

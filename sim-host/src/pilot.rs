@@ -1,12 +1,13 @@
 //! The simulated pilot, who sees the truth 0.2 s late and moves four sticks 50 times per second.
 //!
-//! The pilot arms with the sticks, takes off, holds a position, lands and disarms. A *script* moves named sticks at
+//! The pilot arms with the sticks, or with the arm switch if the vehicle has one, takes off, holds a position, lands and
+//! disarms. A *script* moves named sticks at
 //! given times. The other sticks follow the base: the pilot who holds the position, or centred sticks for a stand.
 
 use std::collections::VecDeque;
 
 use flight_core::geometry::{Vec3, vec3};
-use flight_core::rc::{CENTRE_TICKS, FlightMode, HIGH_TICKS, LOW_TICKS};
+use flight_core::rc::{ArmBy, CENTRE_TICKS, FlightMode, HIGH_TICKS, LOW_TICKS};
 use flight_core::sample::{LinkStatus, RcFrame};
 
 use crate::dynamics::{GRAVITY, State};
@@ -32,8 +33,8 @@ impl Sticks {
     const ARM: Self = Self { yaw: 1.0, ..Self::LOW };
     const DISARM: Self = Self { yaw: -1.0, ..Self::LOW };
 
-    /// Converts the positions to the 11-bit ticks of the receiver.
-    fn to_frame(self) -> RcFrame {
+    /// Converts the positions to the 11-bit ticks of the receiver. `armed` is the position of the arm switch.
+    fn to_frame(self, armed: bool) -> RcFrame {
         let ticks = |position: f64, zero: u16, span: u16| {
             let limited = f64::from(zero) + libm::rint(position * f64::from(span));
             limited.clamp(f64::from(LOW_TICKS), f64::from(HIGH_TICKS)) as u16
@@ -46,8 +47,7 @@ impl Sticks {
                 centred(self.pitch),
                 centred(self.yaw),
             ],
-            // The pilot arms with the sticks.
-            arm_switch: LOW_TICKS,
+            arm_switch: if armed { HIGH_TICKS } else { LOW_TICKS },
             mode_switch: match self.mode {
                 FlightMode::Angle => LOW_TICKS,
                 FlightMode::Rate => HIGH_TICKS,
@@ -72,7 +72,7 @@ pub enum Base {
 /// Times and height of a flight.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Plan {
-    /// Start of the arm gesture, s.
+    /// Start of the arm gesture, or time at which the arm switch is moved, s.
     pub arm_at_s: f64,
     /// Start of the climb, s; on a stand, time at which the throttle opens.
     pub take_off_at_s: f64,
@@ -122,6 +122,8 @@ pub struct Knowledge {
     pub max_tilt_rad: f64,
     /// Yaw rate at full stick, rad/s.
     pub max_yaw_rate_rad_s: f64,
+    /// Whether the vehicle is armed with the sticks or with a switch.
+    pub arm_by: ArmBy,
 }
 
 /// Speed of the climb, m/s.
@@ -215,7 +217,16 @@ impl Pilot {
         if self.views.len() > REACTION_FRAMES {
             self.views.pop_front();
         }
-        self.sticks(t_s, &view).to_frame()
+        let sticks = self.sticks(t_s, &view);
+        match self.knowledge.arm_by {
+            ArmBy::Sticks => sticks.to_frame(false),
+            // At the times of the gestures the pilot moves the switch, and the sticks stay low.
+            ArmBy::Switch => {
+                let armed = t_s >= self.plan.arm_at_s && sticks != Sticks::DISARM;
+                let gesture = sticks == Sticks::ARM || sticks == Sticks::DISARM;
+                if gesture { Sticks::LOW } else { sticks }.to_frame(armed)
+            }
+        }
     }
 
     fn sticks(&mut self, t_s: f64, view: &State) -> Sticks {
@@ -286,7 +297,7 @@ impl Pilot {
         let forward = cos_yaw * a.x + sin_yaw * a.y;
         let right = cos_yaw * a.y - sin_yaw * a.x;
 
-        let Knowledge { hover_throttle, max_tilt_rad, max_yaw_rate_rad_s } = self.knowledge;
+        let Knowledge { hover_throttle, max_tilt_rad, max_yaw_rate_rad_s, .. } = self.knowledge;
         let tilt = |acceleration: f64| {
             (acceleration / GRAVITY).clamp(-MAX_HOLD_TILT_RAD, MAX_HOLD_TILT_RAD) / max_tilt_rad
         };
@@ -314,8 +325,12 @@ mod tests {
     use super::*;
     use flight_core::geometry::Quaternion;
 
-    const KNOWLEDGE: Knowledge =
-        Knowledge { hover_throttle: 0.5, max_tilt_rad: 0.785, max_yaw_rate_rad_s: 1.57 };
+    const KNOWLEDGE: Knowledge = Knowledge {
+        hover_throttle: 0.5,
+        max_tilt_rad: 0.785,
+        max_yaw_rate_rad_s: 1.57,
+        arm_by: ArmBy::Sticks,
+    };
     const PLAN: Plan = Plan { arm_at_s: 1.0, take_off_at_s: 3.0, height_m: 2.0, land_before_end_s: None };
 
     fn hold() -> PilotScript {
@@ -334,6 +349,24 @@ mod tests {
         assert_eq!(pilot.frame(1.5, &ground).channels, [172, 992, 992, 1811]);
         assert_eq!(pilot.frame(2.5, &ground).channels, [172, 992, 992, 992]);
         assert!(pilot.frame(4.0, &ground).channels[0] > 992);
+    }
+
+    #[test]
+    fn pilot_moves_the_switch_of_a_vehicle_that_has_one() {
+        let ground = at(vec3(0.0, 0.0, -0.05));
+        let plan = Plan { land_before_end_s: Some(20.0), ..PLAN };
+        let with_switch = Knowledge { arm_by: ArmBy::Switch, ..KNOWLEDGE };
+        let mut pilot = Pilot::new(&PilotScript { plan, ..hold() }, 60.0, with_switch, &ground);
+        let mut sent = |t_s| {
+            let frame = pilot.frame(t_s, &ground);
+            (frame.arm_switch, frame.channels[0] == LOW_TICKS, frame.channels[3])
+        };
+        assert_eq!(sent(0.5), (LOW_TICKS, true, CENTRE_TICKS));
+        assert_eq!(sent(1.0), (HIGH_TICKS, true, CENTRE_TICKS));
+        assert_eq!(sent(10.0), (HIGH_TICKS, false, CENTRE_TICKS));
+        // The pilot sees the vehicle on the ground, and half a second later switches it off.
+        assert_eq!(sent(50.0), (HIGH_TICKS, true, CENTRE_TICKS));
+        assert_eq!(sent(50.6), (LOW_TICKS, true, CENTRE_TICKS));
     }
 
     #[test]

@@ -46,53 +46,89 @@ fn cases() -> Vec<Case> {
             "an unknown key",
             "seed = 7",
             "sed = 7",
-            "bad.toml:5: unknown field `sed`, expected one of `description`, `duration_s`, `seed`, `vehicle`, \
-                 `imu`, `mount`, `aerobatic`, `place` (did you mean `seed`?)",
+            "bad.toml:5: scene.sed: unknown key: must be one of description, duration_s, seed, vehicle, imu, mount, \
+             aerobatic, place (did you mean `seed`?)",
         ),
         scene(
             "an unknown effect",
             "[effects.gyro.white_noise]",
             "[effects.gyro.whitenoise]",
-            "bad.toml:24: unknown field `whitenoise`, expected one of `vibration`, `bandwidth`, `g_sensitivity`, \
-             `misalignment`, `scale_factor`, `temperature`, `constant_bias`, `turn_on_bias`, `bias_step`, \
-             `rate_ramp`, `rate_random_walk`, `bias_instability`, `white_noise`, `saturation`, `quantization` (did you mean `white_noise`?)",
+            "bad.toml:24: effects.gyro.whitenoise: unknown key: must be one of vibration, bandwidth, g_sensitivity, \
+             misalignment, scale_factor, temperature, constant_bias, turn_on_bias, bias_step, rate_ramp, \
+             rate_random_walk, bias_instability, white_noise, saturation, quantization (did you mean `white_noise`?)",
         ),
         scene(
             "a negative mass",
             "[flight]",
             "[vehicle]\nmass_g = -650.0\n[flight]",
-            "bad.toml: mass_g = -650: must be from 10 to 100000 g",
+            "bad.toml:10: vehicle.mass_g = -650: must be from 10 to 100000 g",
         ),
         scene(
             "an unknown key of a vehicle",
             "[flight]",
             "[vehicle]\nmass = 650.0\n[flight]",
-            "bad.toml:10: unknown field `mass`, expected one of `description`, `mass_g`, `cells`, `feet_mm`, `inertia`, \
-             `rotors`, `drag`, `esc`, `gains`, `rates`, `filters`, `battery`, `rc`, `mounting` (did you mean `mass_g`?)",
+            "bad.toml:10: vehicle.mass: unknown key: must be one of description, mass_g, cells, feet_mm, inertia, rotors, \
+             drag, esc, gains, rates, filters, battery, rc, mounting (did you mean `mass_g`?)",
         ),
         scene(
             "a cutoff above Nyquist",
             "[flight]",
             "[flight]\nprefilter_hz = 50.0",
-            "bad.toml: flight.prefilter_hz = 50: must be above 0.5 and below 49.95 Hz, just below half the magnetometer's rate",
+            "bad.toml:10: flight.prefilter_hz = 50: must be above 0.5 and below 49.95 Hz, just below half the magnetometer's rate",
         ),
         scene(
             "an unknown estimator",
             "[flight]",
             "[flight]\nestimator = \"fligth\"",
-            "bad.toml: flight.estimator = fligth: must be one of paper, paper-literal, flight, robust (did you mean `flight`?)",
+            "bad.toml:10: flight.estimator = fligth: must be one of paper, paper-literal, flight, robust (did you mean `flight`?)",
         ),
         scene(
             "not a number",
             "duration_s = 30.0",
             "duration_s = nan",
-            "bad.toml: scene.duration_s = NaN: must be from 0.01 to 1000000 s",
+            "bad.toml:4: scene.duration_s = NaN: must be from 0.01 to 1000000 s",
         ),
         scene(
             "a string for a number",
             "duration_s = 30.0",
             "duration_s = \"long\"",
-            "bad.toml:4: invalid type: string \"long\", expected f64",
+            "bad.toml:4: scene.duration_s = \"long\": must be a number",
+        ),
+        scene(
+            "four numbers for three axes",
+            "field_ut = [0.0, 200.0, 0.0]",
+            "field_ut = [0.0, 200.0, 0.0, 0.0]",
+            "bad.toml:30: effects.mag.hard_iron.field_ut = [0.0, 200.0, 0.0, 0.0]: must be a list of three numbers",
+        ),
+        scene(
+            "a negative seed",
+            "seed = 7",
+            "seed = -7",
+            "bad.toml:5: scene.seed = -7: must be a whole number from 0 to 9223372036854775807",
+        ),
+        scene(
+            "an effect without a value",
+            "[effects.mag.white_noise]",
+            "[effects.mag.latency]",
+            "bad.toml:28: effects.mag.latency.latency_s: is missing: give it here, or in the IMU preset (scene.imu)",
+        ),
+        scene(
+            "a calibration out of range",
+            "bias = [0.0, 200.0, 0.0]",
+            "bias = [0.0, 2e6, 0.0]",
+            "bad.toml:11: flight.calibration.mag_ut.bias = 2000000: must be from -1000000 to 1000000 µT",
+        ),
+        scene(
+            "a throttle for a pilot that holds a position",
+            "kind = \"hold\"",
+            "kind = \"hold\"\nthrottle = 0.5",
+            "bad.toml:15: pilot.throttle: is only for a pilot with base = \"centred\"",
+        ),
+        scene(
+            "a fault after the end",
+            "[pilot]",
+            "[[fault]]\nkind = \"dead\"\nsensor = \"mag\"\nat_s = 29.0\n[[fault]]\nkind = \"dead\"\nsensor = \"imu\"\nat_s = 30.0\n[pilot]",
+            "bad.toml:20: fault.at_s = 30: must be below the length of the scene, 30 s",
         ),
         scene("invalid TOML", "[scene]", "[scene", "bad.toml:2: unclosed table, expected `]`"),
         Case {
@@ -107,9 +143,44 @@ fn cases() -> Vec<Case> {
             arguments: &["fly", "hovr"],
             file: "unused",
             text: String::new(),
-            expected: "SCENE = hovr: must be a scene file or a built-in scene: hover, steps, stand-steps, static, bench-static, \
+            expected: "SCENE = hovr: must be one of hover, steps, stand-steps, static, bench-static, \
                    windy-landing, hot-day, weak-battery, magnetic-site, motor-out, shaky-frame, bad-link, \
-                   rough-sampling, whole-drive (did you mean `hover`?)",
+                   rough-sampling, whole-drive (did you mean `hover`?); or the path of a scene file",
+        },
+        Case {
+            name: "a scene file that does not exist",
+            arguments: &["fly", "nosuch.toml"],
+            file: "unused",
+            text: String::new(),
+            expected: "SCENE = nosuch.toml: this file does not exist",
+        },
+        Case {
+            name: "a negative seed on the command line",
+            arguments: &["fly", "--seed", "-1"],
+            file: "unused",
+            text: String::new(),
+            expected: "--seed = -1: must be a whole number from 0 to 18446744073709551615",
+        },
+        Case {
+            name: "no thread",
+            arguments: &["fly", "--runs", "2", "--jobs", "0"],
+            file: "unused",
+            text: String::new(),
+            expected: "--jobs = 0: must be a whole number from 1 to 65535",
+        },
+        Case {
+            name: "a word for a number of runs",
+            arguments: &["fly", "--runs", "abc"],
+            file: "unused",
+            text: String::new(),
+            expected: "--runs = abc: must be a whole number from 1 to 1000000",
+        },
+        Case {
+            name: "a word that no option has",
+            arguments: &["estimate", "log.csv", "--frame", "nde"],
+            file: "unused",
+            text: String::new(),
+            expected: "--frame = nde: must be one of ned, enu (did you mean `ned`?)",
         },
         Case {
             name: "a duration too short to land",
@@ -201,6 +272,46 @@ fn fly_json_has_the_documented_keys() {
     let digest = flight["digest"].as_str().unwrap();
     assert_eq!(json(&["fly", "hover", "--json"])["digest"], digest);
     assert_ne!(json(&["fly", "hover", "--seed", "8", "--json"])["digest"], digest);
+}
+
+#[test]
+fn landing_that_the_end_cuts_off_is_a_warning() {
+    assert_eq!(json(&["fly", "hover", "--json"])["warnings"].as_array().unwrap().len(), 0);
+    let directory = tempfile::tempdir().unwrap();
+    let text = "include = \"hover\"\n[pilot]\nland_before_end_s = 2.0\n";
+    std::fs::write(directory.path().join("short.toml"), text).unwrap();
+    let warning =
+        "the scene ended during the landing, in the state Armed: pilot.land_before_end_s is too short";
+    let output = sim_host(&["fly", "short.toml", "--json"], directory.path());
+    let flight: Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!((output.status.code(), &flight["warnings"]), (Some(0), &serde_json::json!([warning])));
+    let text = String::from_utf8(sim_host(&["fly", "short.toml"], directory.path()).stdout).unwrap();
+    assert!(text.ends_with(&format!("\n  warning: {warning}\n")), "{text}");
+}
+
+#[test]
+fn event_that_duration_cuts_off_is_a_warning() {
+    let flight = json(&["fly", "bad-link", "--duration", "14", "--json"]);
+    let warning = "effects.link.outage.at_s = 14: has no effect, the scene ends at 14 s";
+    assert_eq!(flight["warnings"], serde_json::json!([warning]));
+    let flight = json(&["fly", "stand-steps", "--duration", "15", "--json"]);
+    let warning = "pilot.move.at_s = 18: has no effect, the scene ends at 15 s";
+    assert_eq!(flight["warnings"], serde_json::json!([warning]));
+}
+
+#[test]
+fn lists_have_a_space_between_name_and_text() {
+    let print = |arguments: &[&str]| String::from_utf8(sim_host(arguments, Path::new(".")).stdout).unwrap();
+    assert!(print(&["scenes"]).contains("\nrough-sampling  steps with late, "));
+    let directory = tempfile::tempdir().unwrap();
+    let text = include_str!("../../vehicles/os4.toml")
+        .replace("kg_m2 = [7.5e-3, 7.5e-3, 1.3e-2]", "hub_g = 400.0\nhub_mm = [150.0, 150.0, 80.0]");
+    let text: String =
+        text.lines().filter(|line| !line.starts_with("description")).flat_map(|line| [line, "\n"]).collect();
+    std::fs::write(directory.path().join("hub.toml"), text).unwrap();
+    let shown = String::from_utf8(sim_host(&["vehicle", "hub.toml"], directory.path()).stdout).unwrap();
+    assert!(shown.starts_with("hub.toml\n") && shown.contains(" g m²  a box of 400 g"), "{shown}");
+    assert!(shown.contains("\n    estimate, not a measurement: moments of inertia (a box of "), "{shown}");
 }
 
 #[test]
@@ -356,14 +467,14 @@ fn vehicle_errors_name_the_file_that_has_them() {
     write("number.toml", &format!("{include}vehicle = 5\n"));
     write("include.toml", "include = 5\n");
     for (arguments, expected) in [
-        (&["fly", "hover", "--vehicle", "no-mass.toml"][..], "no-mass.toml: missing field `mass_g`"),
+        (&["fly", "hover", "--vehicle", "no-mass.toml"][..], "no-mass.toml: mass_g: is missing"),
         (&["fly", "hover", "--vehicle", "gone.toml"], "--vehicle = gone.toml: gone.toml cannot be read"),
         (&["fly", "hover", "--vehicle", "five-inhc"], "--vehicle = five-inhc: must be one of"),
-        (&["fly", "heavy-below.toml"], "heavy.toml: mass_g = -1: must be from 10 to 100000 g"),
-        (&["fly", "heavy-here.toml"], "heavy-here.toml: mass_g = -1: must be from 10 to 100000 g"),
-        (&["fly", "none.toml"], "none.toml: scene.vehicle: is missing"),
-        (&["fly", "number.toml"], "number.toml: scene.vehicle: must be a string"),
-        (&["fly", "include.toml"], "include.toml: include: must be a string"),
+        (&["fly", "heavy-below.toml"], "heavy.toml:4: mass_g = -1: must be from 10 to 100000 g"),
+        (&["fly", "heavy-here.toml"], "heavy-here.toml:5: vehicle.mass_g = -1: must be from 10 to 100000 g"),
+        (&["fly", "none.toml"], "none.toml:1: scene.vehicle: is missing"),
+        (&["fly", "number.toml"], "number.toml:3: scene.vehicle = 5: must be text in quotes"),
+        (&["fly", "include.toml"], "include.toml:1: include = 5: must be text in quotes"),
     ] {
         let output = sim_host(arguments, directory.path());
         let error = String::from_utf8(output.stderr).unwrap();
@@ -375,10 +486,7 @@ fn vehicle_errors_name_the_file_that_has_them() {
 fn config_with_bad_input_writes_no_file() {
     let directory = tempfile::tempdir().unwrap();
     for (arguments, expected) in [
-        (
-            ["config", "hovr", "--out", "config.bin"],
-            "error: SCENE = hovr: must be a scene file or a built-in scene",
-        ),
+        (["config", "hovr", "--out", "config.bin"], "error: SCENE = hovr: must be one of hover, steps, "),
         (
             ["config", "hover", "--out", "missing/config.bin"],
             "error: missing/config.bin: cannot be written: ",

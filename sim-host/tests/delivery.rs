@@ -285,6 +285,14 @@ fn hover_flies_on_every_preset() {
 }
 
 #[test]
+fn pilot_arms_and_disarms_with_the_switch_of_the_vehicle() {
+    let (outcome, arrivals) = hover_with("[vehicle.rc]\narm_by = \"switch\"\n");
+    assert!(outcome.crash.is_none() && arrivals.airborne_steps > 10_000, "{outcome:?}");
+    let after = after_arming(&arrivals);
+    assert!(matches!(after[..], [(_, ArmState::Disarmed, Cause::Pilot)]), "{after:?}");
+}
+
+#[test]
 fn magnetic_disturbance_increases_the_heading_error() {
     let (plain, _) = hover_with("");
     let (outcome, _) = hover_with(

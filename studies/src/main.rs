@@ -6,7 +6,7 @@ mod paper_command;
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
-use sim_host::command::conclude;
+use sim_host::command::{conclude, parse};
 use sim_host::interrupt;
 
 /// The environment variable that names the directory of recordings, the same as for the tests.
@@ -50,7 +50,7 @@ Example:
 }
 
 fn main() -> ExitCode {
-    let arguments = Arguments::parse();
+    let arguments: Arguments = parse();
     interrupt::install_handler();
     let answer = match &arguments.command {
         Command::Cost(a) => cost_command::run(a),

@@ -178,7 +178,7 @@ impl TryFrom<toml::Value> for Cutoff {
             toml::Value::Float(hz) => Ok(Self::Hz(hz)),
             toml::Value::Integer(hz) => Ok(Self::Hz(hz as f64)),
             toml::Value::String(name) if name == "none" => Ok(Self::None),
-            _ => Err("prefilter_hz: must be a number of Hz or \"none\""),
+            _ => Err("must be a number of Hz or \"none\""),
         }
     }
 }
@@ -243,6 +243,11 @@ impl Default for Mounting {
 enum ArmByName {
     Sticks,
     Switch,
+}
+
+/// Returns the number of cells with its noun.
+fn in_words(cells: u8) -> String {
+    format!("{cells} cell{}", if cells == 1 { "" } else { "s" })
 }
 
 /// Checks that exactly one of several alternative keys is given.
@@ -349,7 +354,7 @@ impl File {
         for (what, voltage) in
             [("minimum voltage to arm", min_arm_voltage_v), ("critical voltage", critical_voltage_v)]
         {
-            let how = format!("{:.2} V a cell, {} cells", voltage / f64::from(self.cells), self.cells);
+            let how = format!("{:.2} V a cell, {}", voltage / f64::from(self.cells), in_words(self.cells));
             notes.add(what, format!("{voltage:.1} V"), how, false);
         }
         if critical_voltage_v >= min_arm_voltage_v {

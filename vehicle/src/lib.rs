@@ -228,19 +228,21 @@ impl Vehicle {
         }
         let mut layers = Layers::default();
         let table = layers.add(name, text)?;
-        Self::from_table(name, &layers, table).map_err(|error| error.file(name))
+        Self::from_table(name, &layers, &table)
     }
 
     /// Builds a vehicle from a table of `layers`: a vehicle file, with the changes that a scene makes to it.
     ///
     /// # Errors
-    /// The table is invalid. An error about a value has no file yet, because the value can be from any of the layers.
-    pub fn from_table<'a>(name: &str, layers: &Layers<'a>, table: DeTable<'a>) -> Result<Self, InputError> {
-        let vehicle = layers.read::<file::File>(table)?.build(name)?;
+    /// The table is invalid. The error has no file if it is about no key of the table.
+    pub fn from_table<'a>(name: &str, layers: &Layers<'a>, table: &DeTable<'a>) -> Result<Self, InputError> {
+        let file = layers.read::<file::File>(table)?;
+        let vehicle = file.build(name).map_err(|error| layers.locate(error, table))?;
         // The flight controller checks the derived figures, too.
         let config = Config { params: vehicle.flight_params(&Params::default()), calibration: None };
         FlightController::new(&config).map_err(|error| {
-            InputError::new(format!("the flight controller rejects the configuration: {error}"))
+            let error = format!("the flight controller rejects the configuration: {error}");
+            layers.locate(InputError::new(error), table)
         })?;
         Ok(vehicle)
     }
@@ -298,7 +300,10 @@ pub fn is_built_in(name: &str) -> bool {
 pub fn find(name: &str, from: &Path, read: ReadText) -> Result<(String, String), InputError> {
     built_in_or_file("vehicle", BUILT_IN, name, from, read)
         .map_err(|(path, error)| InputError::new(format!("{} cannot be read: {error}", path.display())))?
-        .ok_or_else(|| input::check::unknown("vehicle", name, BUILT_IN.iter().map(|vehicle| vehicle.0)))
+        .ok_or_else(|| {
+            input::check::unknown("vehicle", name, BUILT_IN.iter().map(|vehicle| vehicle.0))
+                .also("; or the path of a vehicle file, which ends in .toml")
+        })
 }
 
 #[cfg(test)]

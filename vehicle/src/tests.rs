@@ -127,67 +127,75 @@ fn tuned_gains_have_the_margin_and_match_hand_tuning() {
 #[test]
 fn errors_name_file_field_and_limit() {
     for (line, by, expected) in [
-        ("mass_g = 650.0", "mass_g = -1.0", "altered.toml: mass_g = -1: must be from 10 to 100000 g"),
+        ("mass_g = 650.0", "mass_g = -1.0", "altered.toml:4: mass_g = -1: must be from 10 to 100000 g"),
         (
             "mass_g = 650.0",
             "mass_g = 2000.0",
-            "altered.toml: mass_g = 2000: is too heavy for rotors that lift 1299 g",
+            "altered.toml:4: mass_g = 2000: is too heavy for rotors that lift 1299 g",
         ),
-        ("mass_g = 650.0", "mass_kg = 0.65", "altered.toml:4: unknown field `mass_kg`"),
+        ("mass_g = 650.0", "mass_kg = 0.65", "altered.toml:4: mass_kg: unknown key: must be one of"),
         (
             "arm_mm = 230.0",
             "arm_mm = 230.0\nforward_mm = 1.0",
-            "altered.toml: rotors: has arm_mm and forward_mm with right_mm",
+            "altered.toml:11: rotors: has arm_mm and forward_mm with right_mm",
         ),
         (
             "arm_mm = 230.0",
             "forward_mm = 160.0",
-            "altered.toml: rotors.right_mm: is missing: forward_mm needs it",
+            "altered.toml:11: rotors.right_mm: is missing: forward_mm needs it",
         ),
-        ("thrust_n_s2 = 3.13e-5", "", "altered.toml: rotors: needs one of thrust_n_s2, full_thrust_g"),
+        ("thrust_n_s2 = 3.13e-5", "", "altered.toml:11: rotors: needs one of thrust_n_s2, full_thrust_g"),
         (
             "kg_m2 = [7.5e-3, 7.5e-3, 1.3e-2]",
             "kg_m2 = [7.5e-3, 7.5e-3, 1.6e-2]",
-            "inertia.kg_m2 = 0.016: must be at most the sum",
+            "altered.toml:9: inertia.kg_m2 = 0.016: must be at most the sum",
         ),
-        ("spin = \"props-out\"", "spin = \"props\"", "unknown variant `props`"),
-        ("cells = 3", "cells = 0", "altered.toml: cells = 0: must be from 1 to 24 cells"),
+        (
+            "spin = \"props-out\"",
+            "spin = \"props\"",
+            "rotors.spin = props: must be one of props-in, props-out (did you mean `props-in`?)",
+        ),
+        ("cells = 3", "cells = 0", "altered.toml:5: cells = 0: must be from 1 to 24 cells"),
         (
             "inertia_kg_m2 = 6.0e-5",
             "propeller_mm = nan",
-            "altered.toml: rotors.propeller_mm = NaN: must be from 20 to 2000 mm",
+            "altered.toml:16: rotors.propeller_mm = NaN: must be from 20 to 2000 mm",
         ),
         (
             "inertia_kg_m2 = 6.0e-5",
             "inertia_kg_m2 = 6.0e-5\npropeller_g = 4.0",
-            "altered.toml: rotors: has inertia_kg_m2 and propeller_g",
+            "altered.toml:11: rotors: has inertia_kg_m2 and propeller_g",
         ),
         (
             "kg_m2 = [7.5e-3, 7.5e-3, 1.3e-2]",
             "kg_m2 = [7.5e-3, 7.5e-3, 1.3e-2]\nhub_mm = [1.0, 1.0, 1.0]",
-            "altered.toml: inertia: has kg_m2 and hub_g with hub_mm",
+            "altered.toml:8: inertia: has kg_m2 and hub_g with hub_mm",
         ),
-        ("idle_rad_s = 32.0", "idle_rad_s = 200.0", "rotors.idle_rad_s = 200: must be from 0 to 159"),
+        (
+            "idle_rad_s = 32.0",
+            "idle_rad_s = 200.0",
+            "altered.toml:18: rotors.idle_rad_s = 200: must be from 0 to 159",
+        ),
         (
             "max_rad_s = 319.0",
             "kv_rpm_per_v = 30000.0",
-            "rotors.kv_rpm_per_v = 30000: gives 26154 rad/s at full throttle with 3 cells: must give from 65 to 10000 rad/s",
+            "altered.toml:17: rotors.kv_rpm_per_v = 30000: gives 26154 rad/s at full throttle with 3 cells: must give from 65 to 10000 rad/s",
         ),
         (
             "[gains]",
             "[battery]\narm_v_per_cell = 2.5\n[gains]",
-            "altered.toml: battery: critical_v_per_cell (3.00 V) must be below arm_v_per_cell (2.50 V)",
+            "altered.toml:25: battery: critical_v_per_cell (3.00 V) must be below arm_v_per_cell (2.50 V)",
         ),
         (
             "[gains]",
             "[filters]\nprefilter_hz = 0.5000000001\n[gains]",
-            "filters.prefilter_hz = 0.5: must be above 0.5",
+            "altered.toml:26: filters.prefilter_hz = 0.5: must be above 0.5",
         ),
         ("[gains]", "[filters]\nprefilter_hz = \"non\"\n[gains]", "must be a number of Hz or \"none\""),
         (
             "[gains]",
             "[filters]\nprefilter_hz = 80.0\n[gains]",
-            "filters.prefilter_hz = 80: must be above 0.5 and below 49.95 Hz, just below half the magnetometer's rate",
+            "altered.toml:26: filters.prefilter_hz = 80: must be above 0.5 and below 49.95 Hz, just below half the magnetometer's rate",
         ),
     ] {
         let error = altered(line, by).unwrap_err().to_string();

@@ -76,7 +76,7 @@ fn scenes_and_boards_that_do_not_fit_are_refused() {
     std::fs::write(&board, text).unwrap();
     assert_refused(
         &["hover", "--board", board.to_str().unwrap()],
-        &["mine.toml: led.pin = PC4: already used by imu.ready"],
+        &["mine.toml:", " led.pin = PC4: already used by imu.ready"],
     );
     assert_refused(&[scene.to_str().unwrap(), "--image", &image], &["imu: the scene's ", "icm-42688-p"]);
 }

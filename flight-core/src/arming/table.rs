@@ -127,6 +127,8 @@ pub const DISARMED: [Row; 15] = [
     row(Disarmed, Conditions::MAINTENANCE, Maintenance, Cause::Maintenance),
     refuse(Conditions::BENCH_LOCK, Cause::BenchLock),
     refuse(Conditions::BENCH_COMMAND, Cause::BenchCommand),
+    // The flight controller never reports both: without a link there is no request (`rc::Requests`). The table does not
+    // rely on this.
     refuse(Conditions::RC_LOST, Cause::RcLost),
     refuse(Conditions::THROTTLE_UP, Cause::ThrottleUp),
     refuse(Conditions::IMU_LOST, Cause::ImuLost),

@@ -167,7 +167,8 @@ impl<'a> Setting<'a> {
 }
 
 /// Interface of all filters. A new filter is a file with a struct that implements this trait, plus one line in
-/// [`Method`], [`Filters`], [`with_filter!`](crate::with_filter) and [`Estimator::new`].
+/// [`Method`], [`EstimatorParams::settings`], [`Filters`], [`with_filter!`](crate::with_filter) and [`Estimator::new`]. A
+/// preset of it, which scenes and vehicle files select by name, is a line in [`EstimatorParams::PRESETS`].
 pub trait Filter {
     /// Whether the filter averages accelerometer and magnetometer over seconds, so that its inputs need no prefilter.
     const IS_LOW_PASS: bool = false;

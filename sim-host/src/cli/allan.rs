@@ -14,7 +14,7 @@ use sim_host::identify::plot;
 use sim_host::identify::recording::{Column, Layout, Recording};
 use sim_host::output_file::{self, check_outputs};
 
-use super::{Answer, progress};
+use super::{Answer, number, progress};
 
 /// Longest estimated work without `--force`, s.
 const MAX_WORK_S: f64 = 600.0;
@@ -28,7 +28,7 @@ pub struct AllanArguments {
     #[arg(long, value_name = "C", num_args = 1)]
     column: Vec<String>,
     /// Rows per second [default: from the times in the column time_s]
-    #[arg(long, value_name = "R")]
+    #[arg(long, value_name = "R", allow_negative_numbers = true, value_parser = number)]
     rate_hz: Option<f64>,
     /// Averaging times, in samples. octave: 1, 2, 4, 8 ...; decade: 1, 2, 4, 10, 20 ...; log: 20 in each decade; all
     #[arg(long, value_enum, default_value_t = TausName::Octave)]

@@ -26,9 +26,10 @@ pub fn fly(scene: &Scene, arguments: &FlyArguments) -> Result<Answer, InputError
     let runs = shard.runs(campaign.runs);
     let runs_to_fly = runs.end - runs.start;
     let jobs = match arguments.jobs {
-        Some(jobs) => NonZeroUsize::from(jobs),
-        None => std::thread::available_parallelism().unwrap_or(NonZeroUsize::MIN),
+        Some(jobs) => NonZeroUsize::new(jobs.into()),
+        None => std::thread::available_parallelism().ok(),
     };
+    let jobs = jobs.unwrap_or(NonZeroUsize::MIN);
 
     let stop = interrupt::stop_flag();
     // Created before the flights: a file that cannot be written is an error now, not after hours of flying.

@@ -7,15 +7,17 @@ use serde_json::json;
 use sim_host::plan;
 use sim_host::scene::{BUILT_IN, Scene};
 
-use super::{Answer, PlanArguments, load};
+use super::{Answer, PlanArguments, heading, load};
 
 pub fn scenes() -> Result<Answer, InputError> {
     let mut list = Vec::new();
     let mut text = String::new();
+    let width = BUILT_IN.iter().map(|scene| scene.name.len()).max().unwrap_or(0) + 2;
     for built_in in BUILT_IN {
         let scene = Scene::parse(built_in.name, built_in.text)?;
         let effects = scene.effects();
-        writeln!(text, "{:<14}{}\n{:14}effects: {}", scene.name, scene.description, "", effects.join(", "))
+        let (name, description) = (&scene.name, &scene.description);
+        writeln!(text, "{name:<width$}{description}\n{:width$}effects: {}", "", effects.join(", "))
             .expect("writing to a String does not fail");
         list.push(json!({
             "name": scene.name,
@@ -33,8 +35,10 @@ pub fn plan(arguments: &PlanArguments) -> Result<Answer, InputError> {
     // The scene of the run with this seed: it includes the effects that tolerances add.
     let run_scene = scene.for_run(scene.seed).0;
     let left_out = run_scene.left_out();
-    let mut text =
-        format!("{}: {}\n\n  effects, in this order      ns per step\n", scene.name, scene.description);
+    let mut text = format!(
+        "{}\n\n  effects, in this order      ns per step\n",
+        heading(&scene.name, &scene.description)
+    );
     for cost in &costs {
         writeln!(text, "  {:<28}{:>11.1}", cost.name, cost.ns_per_step)
             .expect("writing to a String does not fail");

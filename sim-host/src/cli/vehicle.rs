@@ -12,7 +12,7 @@ use sim_host::report::step_response::{self, Proposal, STEP_STICK_SHARE, StepResp
 use sim_host::scene::Scene;
 use vehicle::{Axis, Loop, MARGIN_DEG, Margin, Plant, Tuned, Vehicle, authority_rad_s2, tune};
 
-use super::Answer;
+use super::{Answer, heading};
 
 #[derive(clap::Args)]
 pub struct VehicleArguments {
@@ -33,7 +33,7 @@ pub fn run(arguments: &VehicleArguments) -> Result<Answer, InputError> {
     let vehicle = Vehicle::load(&arguments.vehicle)?;
     check_outputs(&[Path::new(&arguments.vehicle)], &[("--report", arguments.report.as_deref())])?;
     let plant = Plant::of(&vehicle);
-    let mut text = format!("{}: {}\n", vehicle.name, vehicle.description);
+    let mut text = format!("{}\n", heading(&vehicle.name, &vehicle.description));
     let mut json = json!({ "vehicle": vehicle.name, "description": vehicle.description });
     derived(&vehicle, &mut text, &mut json);
     limits(&vehicle, &mut text, &mut json);
@@ -59,9 +59,10 @@ fn write_line(text: &mut String, line: &str) {
 /// Lists the values that are derived because the file does not give them.
 fn derived(vehicle: &Vehicle, text: &mut String, json: &mut Value) {
     text.push_str("\n  derived from the file");
+    let width = vehicle.derived.iter().map(|derived| derived.value.chars().count()).max().unwrap_or(0) + 2;
     for derived in &vehicle.derived {
         let estimate = if derived.estimate { ", an ESTIMATE" } else { "" };
-        write_line(text, &format!("{:<40}{:<20}{}{estimate}", derived.what, derived.value, derived.how));
+        write_line(text, &format!("{:<40}{:<width$}{}{estimate}", derived.what, derived.value, derived.how));
     }
     let list = vehicle.derived.iter().map(|derived| {
         json!({ "what": derived.what, "value": derived.value, "how": derived.how, "estimate": derived.estimate })
@@ -185,7 +186,7 @@ fn warnings(vehicle: &Vehicle, plant: &Plant) -> Vec<String> {
         }
     }
     for derived in vehicle.derived.iter().filter(|derived| derived.estimate) {
-        warnings.push(format!("{} is an estimate ({})", derived.what, derived.how));
+        warnings.push(format!("estimate, not a measurement: {} ({})", derived.what, derived.how));
     }
     warnings
 }

@@ -65,6 +65,10 @@ pub trait EffectParams {
     /// # Errors
     /// A value is outside its range.
     fn validate(&self, key: &str) -> Result<(), InputError>;
+    /// Returns the time at which the effect begins, s, if its parameters have the key `at_s`.
+    fn at_s(&self) -> Option<f64> {
+        None
+    }
     /// Builds the effect.
     fn build(&self, context: &BuildContext) -> Self::Effect;
 }

@@ -2,7 +2,7 @@
 
 use serde_json::{Value, json};
 
-use super::Outcome;
+use super::{Outcome, step_count};
 use crate::scene::Scene;
 
 /// Returns the outcome of a flight of `scene` as JSON.
@@ -16,6 +16,7 @@ pub fn to_json(scene: &Scene, seed: u64, outcome: &Outcome, wall_s: f64) -> Valu
         "wall_s": wall_s,
         "steps_per_s": outcome.control_steps as f64 / wall_s,
         "real_time_factor": outcome.flown_s() / wall_s,
+        "warnings": warnings(scene, outcome),
     });
     if let (Value::Object(json), Value::Object(further)) = (&mut json, further) {
         json.extend(further);
@@ -24,6 +25,20 @@ pub fn to_json(scene: &Scene, seed: u64, outcome: &Outcome, wall_s: f64) -> Valu
         }
     }
     json
+}
+
+/// Returns what a user may not have intended, although the flight did not fail.
+pub fn warnings(scene: &Scene, outcome: &Outcome) -> Vec<String> {
+    let lands = scene.pilot.as_ref().is_some_and(|pilot| pilot.plan.land_before_end_s.is_some());
+    let to_the_end = outcome.crash.is_none() && outcome.control_steps == step_count(scene);
+    let mut warnings = scene.warnings();
+    if lands && to_the_end && outcome.final_state.flies() {
+        warnings.push(format!(
+            "the scene ended during the landing, in the state {}: pilot.land_before_end_s is too short",
+            outcome.final_state.name()
+        ));
+    }
+    warnings
 }
 
 /// Returns the verdict on a flight: how it ended.
@@ -41,9 +56,9 @@ fn rate(per_s: f64) -> String {
 
 /// Returns the outcome as text.
 pub fn describe(scene: &Scene, outcome: &Outcome, verdict: &str, wall_s: f64) -> String {
-    format!(
+    let mut text = format!(
         "{name} (seed {seed}): {verdict}, {state:?}\n\
-         {description}\n\n  \
+         {description}\n  \
          estimate against truth   {rmse:.3}° RMSE (heading {heading:.3}°, inclination {inclination:.3}°)\n  \
          worst tilt error         {tilt_error:.3}°\n  \
          worst tilt               {tilt:.2}°\n  \
@@ -53,7 +68,8 @@ pub fn describe(scene: &Scene, outcome: &Outcome, verdict: &str, wall_s: f64) ->
         name = scene.name,
         seed = scene.seed,
         state = outcome.final_state,
-        description = scene.description,
+        description =
+            if scene.description.is_empty() { String::new() } else { format!("{}\n", scene.description) },
         rmse = outcome.attitude_rmse_deg,
         heading = outcome.heading_rmse_deg,
         inclination = outcome.inclination_rmse_deg,
@@ -64,7 +80,12 @@ pub fn describe(scene: &Scene, outcome: &Outcome, verdict: &str, wall_s: f64) ->
         factor = outcome.flown_s() / wall_s,
         rate = rate(outcome.control_steps as f64 / wall_s),
         digest = outcome.digest,
-    )
+    );
+    for warning in warnings(scene, outcome) {
+        text.push_str("\n  warning: ");
+        text.push_str(&warning);
+    }
+    text
 }
 
 /// Returns an outcome as JSON.

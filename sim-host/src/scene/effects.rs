@@ -53,6 +53,15 @@ macro_rules! effect_table {
                 Ok(())
             }
 
+            /// Returns the key and the value of the start of each named effect that has one, s.
+            fn starts(&self) -> Vec<(String, f64)> {
+                let starts = [$((
+                    concat!("effects.", $prefix, ".", stringify!($key), ".at_s"),
+                    self.$key.as_ref().and_then(EffectParams::at_s),
+                )),+];
+                starts.into_iter().filter_map(|(key, at_s)| Some((key.to_owned(), at_s?))).collect()
+            }
+
             /// Builds the named effects.
             pub fn build(&self, context: BuildContext) -> Vec<(&'static str, $effect)> {
                 let mut list = Vec::new();
@@ -207,6 +216,20 @@ impl Effects {
             self.accel.named(),
             self.mag.named(),
             self.imu.named(),
+        ]
+        .concat()
+    }
+
+    /// Returns the key and the value of the start of each named effect that has one, s.
+    pub fn starts(&self) -> Vec<(String, f64)> {
+        [
+            self.link.starts(),
+            self.wind.starts(),
+            self.vehicle.starts(),
+            self.gyro.starts(),
+            self.accel.starts(),
+            self.mag.starts(),
+            self.imu.starts(),
         ]
         .concat()
     }

@@ -112,31 +112,41 @@ impl Fault {
         NAMES.iter().find(|(kind, _)| *kind == self.kind).map_or("fault", |(_, name)| name)
     }
 
-    /// Checks that the keys are in range and fit the kind.
-    pub fn validate(&self) -> Result<(), InputError> {
-        check::in_range("fault.at_s", self.at_s, 0.0, 1e6, "s")?;
+    /// Returns the start, s.
+    pub fn at_s(&self) -> f64 {
+        self.at_s
+    }
+
+    /// Checks that the keys are in range and fit the kind. `table` is the name of the table for errors.
+    pub fn validate(&self, table: &str) -> Result<(), InputError> {
+        check::key_in_range(table, "at_s", self.at_s, 0.0, 1e6, "s")?;
         if let Some(for_s) = self.for_s {
-            check::in_range("fault.for_s", for_s, 1e-3, 1e6, "s")?;
+            check::key_in_range(table, "for_s", for_s, 1e-3, 1e6, "s")?;
         }
+        let refused =
+            |key: &str, message: String| Err(InputError::new(message).field(format!("{table}.{key}")));
+        let kind = self.name().trim_start_matches("fault.");
         let of_one_axis = matches!(self.kind, Kind::StuckAxis | Kind::Spike);
-        let refused = |field: &str, message: &str| Err(InputError::new(message).field(field));
         match (of_one_axis, self.sensor) {
             (true, FaultySensor::Imu) => {
-                return refused("fault.sensor", "must be gyro, accel or mag: this kind affects one axis");
+                return refused("sensor", format!("must be gyro, accel or mag: {kind} affects one axis"));
             }
             (false, FaultySensor::Gyro | FaultySensor::Accel) => {
-                return refused("fault.sensor", "must be imu or mag: this kind affects a whole sample");
+                return refused("sensor", format!("must be imu or mag: {kind} affects a whole sample"));
             }
             _ => {}
         }
-        if of_one_axis != self.axis.is_some() {
-            return refused(
-                "fault.axis",
-                "is required for stuck_axis and spike, and not allowed for other kinds",
-            );
-        }
-        if (self.kind == Kind::Spike) != self.counts.is_some() {
-            return refused("fault.counts", "is required for spike, and not allowed for other kinds");
+        for (key, needed, given) in [
+            ("axis", of_one_axis, self.axis.is_some()),
+            ("counts", self.kind == Kind::Spike, self.counts.is_some()),
+        ] {
+            match (needed, given) {
+                (true, false) => return refused(key, format!("is missing: a fault of kind {kind} needs it")),
+                (false, true) => {
+                    return refused(key, format!("must be left out: a fault of kind {kind} has none"));
+                }
+                _ => {}
+            }
         }
         Ok(())
     }
@@ -194,15 +204,15 @@ mod tests {
             ("kind = \"dead\"\nsensor = \"gyro\"\nat_s = 1.0", "fault.sensor: must be imu or mag"),
             (
                 "kind = \"stuck_axis\"\nsensor = \"gyro\"\nat_s = 1.0",
-                "fault.axis: is required for stuck_axis",
+                "fault.axis: is missing: a fault of kind stuck_axis needs it",
             ),
             (
                 "kind = \"spike\"\nsensor = \"mag\"\naxis = \"x\"\nat_s = 1.0",
-                "fault.counts: is required for spike",
+                "fault.counts: is missing: a fault of kind spike needs it",
             ),
             (
                 "kind = \"dead\"\nsensor = \"mag\"\naxis = \"x\"\nat_s = 1.0",
-                "fault.axis: is required for stuck_axis",
+                "fault.axis: must be left out: a fault of kind dead has none",
             ),
             ("kind = \"deaf\"\nsensor = \"mag\"\nat_s = 1.0", "did you mean `dead`?"),
             ("kind = \"dead\"\nsensor = \"mag\"\nat_s = -1.0", "fault.at_s = -1: must be from 0"),

@@ -115,7 +115,7 @@ impl TryFrom<toml::Value> for Declination {
             toml::Value::Float(degrees) => Ok(Self::Given(degrees)),
             toml::Value::Integer(degrees) => Ok(Self::Given(degrees as f64)),
             toml::Value::String(name) if name == "model" => Ok(Self::Model),
-            _ => Err("flight.declination_deg: must be a number of degrees or \"model\""),
+            _ => Err("must be a number of degrees or \"model\""),
         }
     }
 }
@@ -201,6 +201,11 @@ impl Pilot {
         if self.kind == PilotKind::Hold && !self.moves.is_empty() {
             return Err(InputError::new("is only for a pilot of kind \"script\"").field("pilot.move"));
         }
+        if self.throttle.is_some() && self.base != Some(BaseName::Centred) {
+            return Err(
+                InputError::new("is only for a pilot with base = \"centred\"").field("pilot.throttle")
+            );
+        }
         let base = match (self.kind, self.base) {
             (PilotKind::Hold, None) | (PilotKind::Script, Some(BaseName::Hold)) => Base::Hold,
             (PilotKind::Script, Some(BaseName::Centred)) => {
@@ -226,17 +231,18 @@ impl Pilot {
         };
         in_range("pilot.height_m", height_m, 0.0, 1000.0, "m")?;
         let mut script = Vec::new();
-        for m in &self.moves {
-            in_range("pilot.move.at_s", m.at_s, self.take_off_at_s, 1e6, "s")?;
-            in_range("pilot.move.for_s", m.for_s, 0.02, 1e6, "s")?;
-            for (field, stick, low) in [
-                ("pilot.move.throttle", m.throttle, 0.0),
-                ("pilot.move.roll", m.roll, -1.0),
-                ("pilot.move.pitch", m.pitch, -1.0),
-                ("pilot.move.yaw", m.yaw, -1.0),
+        for (n, m) in self.moves.iter().enumerate() {
+            let key = |key: &str| format!("pilot.move[{n}].{key}");
+            in_range(&key("at_s"), m.at_s, self.take_off_at_s, 1e6, "s")?;
+            in_range(&key("for_s"), m.for_s, 0.02, 1e6, "s")?;
+            for (name, stick, low) in [
+                ("throttle", m.throttle, 0.0),
+                ("roll", m.roll, -1.0),
+                ("pitch", m.pitch, -1.0),
+                ("yaw", m.yaw, -1.0),
             ] {
                 if let Some(stick) = stick {
-                    in_range(field, stick, low, 1.0, "of full stick")?;
+                    in_range(&key(name), stick, low, 1.0, "of full stick")?;
                 }
             }
             let MoveTable { at_s, for_s, throttle, roll, pitch, yaw, mode } = *m;
@@ -252,5 +258,5 @@ impl Pilot {
 }
 
 fn missing(field: &str, with: &str) -> InputError {
-    InputError::new(format!("is missing: {with} needs it")).field(field)
+    InputError::missing().field(field).also(&format!(": {with} needs it"))
 }

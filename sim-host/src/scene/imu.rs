@@ -27,12 +27,12 @@ pub const PRESETS: &[(&str, &str)] = presets!["paper", "icm-42688-p", "mpu-6050"
 pub fn find(imu: &str, scene: &Path, read: ReadText) -> Result<(String, String), InputError> {
     built_in_or_file("imu", PRESETS, imu, scene, read)
         .map_err(|(path, error)| {
-            InputError::new(format!("cannot be read: {error}"))
-                .file(scene)
-                .field("scene.imu")
-                .value(path.display())
+            InputError::new(format!("cannot be read: {error}")).field("scene.imu").value(path.display())
         })?
-        .ok_or_else(|| check::unknown("scene.imu", imu, PRESETS.iter().map(|preset| preset.0)).file(scene))
+        .ok_or_else(|| {
+            check::unknown("scene.imu", imu, PRESETS.iter().map(|preset| preset.0))
+                .also("; or the path of a preset file, which ends in .toml")
+        })
 }
 
 /// A parsed preset file.
@@ -73,15 +73,20 @@ impl ImuPreset {
         text: &'a str,
     ) -> Result<(Self, DeTable<'a>), InputError> {
         let table = layers.add(name, text)?;
-        let preset: Self = layers.read(table.clone())?;
+        let preset: Self = layers.read(&table)?;
         for (field, value) in [
             ("gyro.lsb_per_deg_s", preset.gyro.lsb_per_deg_s),
             ("accel.lsb_per_g", preset.accel.lsb_per_g),
             ("mag.lsb_per_gauss", preset.mag.lsb_per_gauss),
         ] {
-            check::in_range(field, value, 0.1, 1e6, "counts").map_err(|error| error.file(name))?;
+            check::in_range(field, value, 0.1, 1e6, "counts")
+                .map_err(|error| layers.locate(error, &table))?;
         }
-        preset.effects.validate().map_err(|error| error.file(name))?;
+        let located = |error| {
+            let error = layers.locate(error, &table);
+            if error.has_file() { error } else { error.file(name) }
+        };
+        preset.effects.validate().map_err(located)?;
         let effects = match table.get("effects").map(|effects| effects.get_ref()) {
             Some(DeValue::Table(effects)) => effects.clone(),
             _ => DeTable::new(),

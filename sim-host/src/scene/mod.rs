@@ -18,7 +18,7 @@ use std::path::{Path, PathBuf};
 
 use flight_core::FlightController;
 use flight_core::calibration::{Calibration, Sensitivity, SensorCalibration};
-use flight_core::config::{Config, Params};
+use flight_core::config::{Config, ConfigError, Params};
 use flight_core::control::ControlParams;
 use flight_core::estimator::EstimatorParams;
 use flight_core::geometry::{Mat3, Vec3, vec3};
@@ -76,23 +76,18 @@ impl Included {
                 // The path is relative to the file that includes it.
                 let path = Path::new(&name).with_file_name(&next);
                 let text = read(&path).map_err(|error| {
-                    InputError::new(format!(
-                        "is not a built-in scene, and {} cannot be read: {error}",
-                        path.display()
-                    ))
-                    .file(&name)
-                    .field("include")
-                    .value(&next)
+                    let allowed =
+                        format!("is not a built-in scene, and {} cannot be read: {error}", path.display());
+                    let error = InputError::new(allowed).field("include").value(&next);
+                    layers::located(&name, &text, error)
                 })?;
                 Self { name: path.display().to_string(), text }
             };
             if list.len() == MAX_INCLUDED || list.iter().any(|included| included.name == found.name) {
-                return Err(InputError::new(format!(
-                    "must not be part of a cycle, or of a chain of more than {MAX_INCLUDED} scenes"
-                ))
-                .file(&name)
-                .field("include")
-                .value(&found.name));
+                let allowed =
+                    format!("must not be part of a cycle, or of a chain of more than {MAX_INCLUDED} scenes");
+                let error = InputError::new(allowed).field("include").value(&found.name);
+                return Err(layers::located(&name, &text, error));
             }
             (name, text) = (found.name.clone(), found.text.clone());
             list.push(found);
@@ -156,12 +151,11 @@ impl Scene {
         }
         let path = Path::new(name_or_path);
         if !path.exists() {
-            let names = BUILT_IN.iter().map(|scene| scene.name);
-            let near = check::nearest(name_or_path, names.clone());
-            let list = names.collect::<Vec<_>>().join(", ");
-            return Err(InputError::new(format!("must be a scene file or a built-in scene: {list}{near}"))
-                .field("SCENE")
-                .value(name_or_path));
+            if name_or_path.ends_with(".toml") || path.components().count() > 1 {
+                return Err(InputError::new("this file does not exist").field("SCENE").value(name_or_path));
+            }
+            return Err(check::unknown("SCENE", name_or_path, BUILT_IN.iter().map(|scene| scene.name))
+                .also("; or the path of a scene file"));
         }
         let text = layers::read_text(path)
             .map_err(|error| InputError::new(format!("cannot be read: {error}")).file(path))?;
@@ -230,42 +224,57 @@ impl Scene {
             let under = layers.add(&included.name, &included.text)?;
             table = merge(table, under);
         }
-        let vehicle_name = string_in(&table, "vehicle", "vehicle").map_err(|error| error.file(name))?;
+        let vehicle_name = string_in(&layers, &table, "vehicle", "vehicle")
+            .map_err(|error| located(&layers, error, &table, name))?;
         let (vehicle_layer, vehicle_text, values_text);
-        (vehicle_layer, vehicle_text) = vehicle::find(&vehicle_name, Path::new(name), read)
-            .map_err(|error| error.file(name).field("scene.vehicle").value(&vehicle_name))?;
+        (vehicle_layer, vehicle_text) =
+            vehicle::find(&vehicle_name, Path::new(name), read).map_err(|error| {
+                located(&layers, error.field("scene.vehicle").value(&vehicle_name), &table, name)
+            })?;
         let mut vehicle_table = layers.add(&vehicle_layer, &vehicle_text)?;
         let altered = match table.remove("vehicle").map(Spanned::into_inner) {
             None => DeTable::new(),
             Some(DeValue::Table(altered)) => altered,
             Some(_) => {
-                return Err(InputError::new("must be a table; the name of the vehicle is scene.vehicle")
-                    .file(name)
-                    .field("vehicle"));
+                let allowed = "must be a table; the name of the vehicle is scene.vehicle";
+                return Err(InputError::new(allowed).file(name).field("vehicle"));
             }
         };
-        vehicle_table = merge(altered.clone(), vehicle_table);
-        let design = Vehicle::from_table(&vehicle_name, &layers, vehicle_table).map_err(|error| {
-            let here = error.field_name().is_some_and(|field| layers::has(&altered, field));
-            match error.has_file() {
-                true => error,
-                false => error.file(if here { name } else { &vehicle_layer }),
+        vehicle_table = merge(altered, vehicle_table);
+        let of_vehicle = |error: InputError| match (error.file_name(), error.field_name()) {
+            (None, _) => error.file(&vehicle_layer),
+            (Some(file), _) if file == vehicle_layer => error,
+            // The key is in the table `[vehicle]` of a scene.
+            (_, key) => {
+                let key = format!("vehicle.{}", key.unwrap_or_default());
+                error.field(key.trim_end_matches('.'))
             }
-        })?;
+        };
+        let locate = |error| of_vehicle(layers.locate(error, &vehicle_table));
+        let design = Vehicle::from_table(&vehicle_name, &layers, &vehicle_table).map_err(of_vehicle)?;
+        stiffness::check_legs(&design.params).map_err(locate)?;
         values_text = vehicle_values_toml(&design);
         let vehicle_values = layers.add(&format!("values of {vehicle_layer}"), &values_text)?;
-        let imu = string_in(&table, "imu", "IMU preset").map_err(|error| error.file(name))?;
-        (preset_name, preset_text) = imu::find(&imu, Path::new(name), read)?;
+        let imu = string_in(&layers, &table, "imu", "IMU preset")
+            .map_err(|error| located(&layers, error, &table, name))?;
+        (preset_name, preset_text) =
+            imu::find(&imu, Path::new(name), read).map_err(|error| located(&layers, error, &table, name))?;
+        let imu_at = match table.get("scene").map(Spanned::get_ref) {
+            Some(DeValue::Table(scene)) => scene.get("imu").map_or(0, |imu| imu.span().start),
+            _ => 0,
+        };
         let (preset, preset_values) = ImuPreset::read(&mut layers, &preset_name, &preset_text)?;
         if let Some(DeValue::Table(effects)) = table.get_mut("effects").map(Spanned::get_mut) {
-            complete(effects, &preset_values);
-            complete(effects, &vehicle_values);
+            // The preset that a scene names has priority over the values of the scenes that it includes.
+            complete(effects, &preset_values, |at| layers.is_after(at, imu_at));
+            complete(effects, &vehicle_values, |_| false);
         }
         let text_hash = layers.hash();
         let file: file::SceneFile =
-            layers.read(table).map_err(|error| if error.has_file() { error } else { error.file(name) })?;
+            layers.read(&table).map_err(|error| located(&layers, with_hint(error), &table, name))?;
         let vehicle_place = if vehicle::is_built_in(&vehicle_name) { vehicle_name } else { vehicle_layer };
-        let scene = Self::build(name, file, design, &preset, text_hash).map_err(|error| error.file(name))?;
+        let scene = Self::build(name, file, design, &preset, text_hash)
+            .map_err(|error| located(&layers, error, &table, name))?;
         Ok(Self { vehicle_place, ..scene })
     }
 
@@ -278,19 +287,19 @@ impl Scene {
     ) -> Result<Self, InputError> {
         let file::SceneFile { scene, flight, pilot, effects, faults, tolerances, .. } = file;
         let vehicle = design.params;
-        stiffness::check_legs(&vehicle)?;
         effects.validate()?;
         stiffness::check_drag(&effects.vehicle, &vehicle)?;
-        faults.iter().try_for_each(faults::Fault::validate)?;
+        for (n, fault) in faults.iter().enumerate() {
+            fault.validate(&format!("fault[{n}]"))?;
+        }
         let field_ut = scene.place.map_or(Place::ANKARA, file::PlaceTable::build).field_ut()?;
         let ball_joint = scene.mount == file::MountName::BallJoint;
         let pilot = pilot.map(|p| p.build(ball_joint)).transpose()?;
         let mut config = flight.build(&design, preset, field_ut)?;
         let converters = preset.converters();
         config.params.stuck_check = effects.stuck_check(&converters);
-        let controller =
-            FlightController::new(&config).map_err(|e| InputError::new(e.to_string()).field("flight"))?;
-        let mut built = Self {
+        let controller = FlightController::new(&config).map_err(|error| refused(&error))?;
+        let built = Self {
             name: name.into(),
             description: scene.description,
             duration_s: scene.duration_s,
@@ -312,7 +321,12 @@ impl Scene {
             tolerances,
             thrust_shares: None,
         };
-        built.set_duration(scene.duration_s)?;
+        built.check_landing(scene.duration_s)?;
+        // A scene that includes a longer one may cut off moves.
+        if let Some((key, at_s)) = built.cut_off(false).into_iter().next() {
+            let allowed = format!("must be below the length of the scene, {} s", scene.duration_s);
+            return Err(InputError::new(allowed).field(key).value(at_s));
+        }
         built.tolerances.validate(&built)?;
         Ok(built)
     }
@@ -324,8 +338,7 @@ impl Scene {
     pub fn set_control(&mut self, control: ControlParams) -> Result<(), InputError> {
         self.config.params.control = control;
         self.design.control = control;
-        self.controller = FlightController::new(&self.config)
-            .map_err(|error| InputError::new(error.to_string()).field("flight"))?;
+        self.controller = FlightController::new(&self.config).map_err(|error| refused(&error))?;
         Ok(())
     }
 
@@ -334,8 +347,15 @@ impl Scene {
     /// # Errors
     /// The length is not from 0.01 s to 10⁶ s, or the landing would be before the take-off.
     pub fn set_duration(&mut self, duration_s: f64) -> Result<(), InputError> {
+        self.check_landing(duration_s)?;
+        self.duration_s = duration_s;
+        Ok(())
+    }
+
+    /// Checks that the length is in range and leaves time for the landing.
+    fn check_landing(&self, duration_s: f64) -> Result<(), InputError> {
         check::in_range("scene.duration_s", duration_s, 0.01, 1.0e6, "s")?;
-        if let Some(plan) = self.pilot.as_mut().map(|p| &mut p.plan)
+        if let Some(plan) = self.pilot.as_ref().map(|p| &p.plan)
             && let Some(before_end_s) = plan.land_before_end_s
         {
             let shortest_s = plan.take_off_at_s + before_end_s;
@@ -348,8 +368,37 @@ impl Scene {
                 .value(duration_s));
             }
         }
-        self.duration_s = duration_s;
         Ok(())
+    }
+
+    /// Returns key and time (s) of each event that would begin at or after the end: of effects and faults, of the pilot's
+    /// actions and, if `with_moves`, of the moves of the sticks.
+    fn cut_off(&self, with_moves: bool) -> Vec<(String, f64)> {
+        let mut starts = self.effects.starts();
+        let faults = self.faults.iter().enumerate();
+        starts.extend(faults.map(|(n, fault)| (format!("fault[{n}].at_s"), fault.at_s())));
+        if let Some(PilotScript { plan, script, .. }) = &self.pilot {
+            starts.push(("pilot.arm_at_s".into(), plan.arm_at_s));
+            starts.push(("pilot.take_off_at_s".into(), plan.take_off_at_s));
+            let moves = script.iter().enumerate().filter(|_| with_moves);
+            starts.extend(moves.map(|(n, m)| (format!("pilot.move[{n}].at_s"), m.at_s)));
+        }
+        starts.retain(|(_, at_s)| *at_s >= self.duration_s);
+        starts
+    }
+
+    /// Returns a warning for each event of the scene that its end cuts off, because its length was set to a shorter one.
+    pub fn warnings(&self) -> Vec<String> {
+        let cut_off = self.cut_off(true).into_iter();
+        cut_off
+            .map(|(key, at_s)| {
+                format!(
+                    "{} = {at_s}: has no effect, the scene ends at {} s",
+                    layers::without_counts(&key),
+                    self.duration_s
+                )
+            })
+            .collect()
     }
 
     /// Returns the names of the effects that the scene names, in the order in which they are applied.
@@ -499,22 +548,62 @@ impl Scene {
             hover_throttle: self.vehicle.hover_throttle(),
             max_tilt_rad: f64::from(control.max_tilt_rad),
             max_yaw_rate_rad_s: f64::from(control.max_yaw_rate_rad_s),
+            arm_by: self.config.params.arm_by,
         }
     }
 }
 
+/// Adds file and line to an error about a key of the merged scene, or at least the file of the scene.
+fn located(layers: &Layers, error: InputError, table: &DeTable<'_>, scene: &str) -> InputError {
+    let error = layers.locate(error, table);
+    if error.has_file() { error } else { error.file(scene) }
+}
+
+/// Adds the second place for a missing value of a sensor's effect: the preset.
+fn with_hint(error: InputError) -> InputError {
+    let of_sensor = error.field_name().is_some_and(|field| {
+        ["effects.gyro.", "effects.accel.", "effects.mag.", "effects.imu."]
+            .iter()
+            .any(|of| field.starts_with(of))
+    });
+    if error.is_missing() && of_sensor {
+        error.also(": give it here, or in the IMU preset (scene.imu)")
+    } else {
+        error
+    }
+}
+
+/// Returns the error for a value that the flight controller refuses. Values of a calibration have the keys of the scene.
+fn refused(error: &ConfigError) -> InputError {
+    let key = error.field.strip_prefix("calibration.").and_then(|rest| {
+        let (sensor, rest) = rest.split_once('.')?;
+        let (key, property) = rest.split_once(" (").map_or((rest, ""), |(key, more)| (key, more));
+        let sensors =
+            [("gyro", "gyro_rad_s", "rad/s"), ("accel", "accel_m_s2", "m/s²"), ("mag", "mag_ut", "µT")];
+        let (_, table, unit) = sensors.into_iter().find(|(name, ..)| *name == sensor)?;
+        Some((format!("flight.calibration.{table}.{key}"), property.trim_end_matches(')'), unit))
+    });
+    let Some((key, property, unit)) = key else { return InputError::new(error.to_string()).field("flight") };
+    let ConfigError { value, minimum, maximum, .. } = error;
+    let range = format!("must be from {minimum} to {maximum}");
+    match property {
+        "" => InputError::new(format!("{range} {unit}")).field(key).value(value),
+        property => InputError::new(format!("{property} = {value}: {range}")).field(key),
+    }
+}
+
 /// Returns the string with this key in the table `[scene]`.
-fn string_in(table: &DeTable<'_>, key: &str, what: &str) -> Result<String, InputError> {
+fn string_in(layers: &Layers, table: &DeTable<'_>, key: &str, what: &str) -> Result<String, InputError> {
     let found = match table.get("scene").map(Spanned::get_ref) {
         None => None,
         Some(DeValue::Table(scene)) => {
-            layers::string(scene, key).map_err(|error| error.field(format!("scene.{key}")))?
+            layers.string(scene, key).map_err(|error| error.field(format!("scene.{key}")))?
         }
         Some(_) => return Err(InputError::new("must be a table").field("scene")),
     };
     found.ok_or_else(|| {
-        InputError::new(format!("is missing: must be the name of a built-in {what}, or of a file"))
-            .field(format!("scene.{key}"))
+        let more = format!(": must be the name of a built-in {what}, or of a file");
+        InputError::missing().field(format!("scene.{key}")).also(&more)
     })
 }
 

@@ -28,7 +28,7 @@ pub fn check_legs(params: &VehicleParams) -> Result<(), InputError> {
             "must be at least {min:.3e} kg m² for {mass_kg} kg with arms of {arm_m:.3} m and feet {feet_m} m below: with less \
              the legs are too stiff for steps of 1 ms"
         ))
-        .field("vehicle.inertia.kg_m2")
+        .field("inertia.kg_m2")
         .value(inertia))
     })
 }

@@ -46,9 +46,53 @@ fn scene_changes_the_one_that_it_includes() {
     assert_eq!((altered.seed, altered.duration_s), (99, hover.duration_s));
     assert_eq!((altered.effects(), &altered.pilot), (hover.effects(), &hover.pilot));
     let wrong = Scene::parse("wrong", "include = \"hover\"\n[scene]\nsed = 99\n").unwrap_err().to_string();
-    assert!(wrong.starts_with("wrong:3: unknown field `sed`"), "{wrong}");
+    assert!(wrong.starts_with("wrong:3: scene.sed: unknown key: must be one of "), "{wrong}");
     let lost = Scene::parse("lost", "include = \"nowhere.toml\"\n").unwrap_err().to_string();
-    assert!(lost.starts_with("lost: include = nowhere.toml: is not a built-in scene"), "{lost}");
+    assert!(lost.starts_with("lost:1: include = nowhere.toml: is not a built-in scene"), "{lost}");
+}
+
+/// The noise of the gyroscope, °/√h.
+fn gyro_noise(scene: &Scene) -> [f64; 3] {
+    scene.effects.gyro.white_noise.as_ref().unwrap().n_deg_per_sqrt_h
+}
+
+#[test]
+fn preset_of_a_scene_has_priority_over_the_scenes_that_it_includes() {
+    let chip = "imu = \"mpu-6050\"\n";
+    let own = "[effects.gyro.white_noise]\nn_deg_per_sqrt_h = [1.0, 2.0, 3.0]\n";
+    let parse = |text: String| Scene::parse("altered", &text).unwrap();
+    let altered = parse(format!("include = \"hover\"\n[scene]\n{chip}"));
+    assert_eq!(gyro_noise(&altered), [0.21213; 3]);
+    assert_eq!(altered.effects(), Scene::load("hover").unwrap().effects());
+    // A value beside the preset, or in a scene that includes the one with the preset, has priority over it.
+    assert_eq!(gyro_noise(&parse(format!("include = \"hover\"\n[scene]\n{chip}{own}"))), [1.0, 2.0, 3.0]);
+    assert_eq!(gyro_noise(&parse(format!("include = \"shaky-frame\"\n{own}"))), [1.0, 2.0, 3.0]);
+    // Without a preset of its own, a scene has the values of the included one.
+    assert_eq!(gyro_noise(&parse("include = \"hover\"\n".into())), [1.9368, 1.239, 1.239]);
+}
+
+/// An event must begin before the end; a window may reach beyond it.
+#[test]
+fn event_that_begins_after_the_end_is_refused() {
+    let with = |table: &str| Scene::parse("late", &format!("include = \"hover\"\n{table}\n"));
+    let end = "must be below the length of the scene, 30 s";
+    for (table, key) in [
+        ("[effects.link.outage]\nat_s = ", "effects.link.outage.at_s"),
+        ("[effects.vehicle.motor_failure]\nrotor = 1\nat_s = ", "effects.vehicle.motor_failure.at_s"),
+        ("[effects.gyro.bias_step]\nbias_deg_s = [0, 0, 1]\nat_s = ", "effects.gyro.bias_step.at_s"),
+        (
+            "[effects.mag.disturbance]\nfor_s = 5\nfield_ut = [0, 0, 1]\nat_s = ",
+            "effects.mag.disturbance.at_s",
+        ),
+        ("[[fault]]\nkind = \"dead\"\nsensor = \"mag\"\nat_s = ", "fault.at_s"),
+    ] {
+        assert!(with(&format!("{table}29.9")).is_ok(), "{key}");
+        let error = with(&format!("{table}30")).unwrap_err().to_string();
+        assert!(error.ends_with(&format!(": {key} = 30: {end}")), "{error}");
+    }
+    let still = "[pilot]\nkind = \"script\"\nbase = \"centred\"\nthrottle = 0.5\narm_at_s = 0.1\ntake_off_at_s = 2.0\n";
+    let error = Scene::parse("late", &format!("{BARE}{still}")).unwrap_err().to_string();
+    assert_eq!(error, "late:11: pilot.take_off_at_s = 2: must be below the length of the scene, 1 s");
 }
 
 #[test]
@@ -212,7 +256,7 @@ fn error_in_an_included_array_names_its_file_and_line() {
     // More characters of three bytes than there are bytes before the wrong key: its offset is inside a character.
     let above = format!("include = \"below.toml\"\n# {}\n{BARE}", "…".repeat(100));
     let error = with_files(&above, below).unwrap_err().to_string();
-    assert!(error.starts_with("below.toml:5: unknown field `fr_s`"), "{error}");
+    assert!(error.starts_with("below.toml:5: fault.fr_s: unknown key"), "{error}");
 }
 
 #[test]

@@ -425,7 +425,7 @@ mod tests {
         for (line, wanted) in [
             ("mas_kg = { uniform = 0.1 }", "(did you mean `mass_kg`?)"),
             ("mass_kg = { unifrom = 0.1 }", "(did you mean `uniform`?)"),
-            ("mass_kg = { }", "spread: tolerances.mass_kg: must have exactly one of uniform, normal, "),
+            ("mass_kg = { }", "spread:3: tolerances.mass_kg: must have exactly one of uniform, normal, "),
             ("mass_kg = { uniform = 0.1, normal = 0.1 }", "tolerances.mass_kg: must have exactly one of"),
             ("mass_kg = { uniform = 0.5 }", "tolerances.mass_kg.uniform = 0.5: must be from 0 to 0.325 kg"),
             (

@@ -246,7 +246,7 @@ fn ctrl_c_ends_board_and_flight_and_leaves_no_file() {
     let (child, board) = workspace.start(&["--log", "log.csv"]);
     kill(Pid::from_raw(child.id() as i32), Signal::SIGINT).unwrap();
     let (flown, code) = result(&child.wait_with_output().unwrap());
-    assert_eq!((code, flown["ended_by"].as_str()), (Some(1), Some("interrupted")), "{flown}");
+    assert_eq!((code, flown["ended_by"].as_str()), (Some(130), Some("interrupted")), "{flown}");
     assert!(flown["control_steps"].as_u64().unwrap() >= 2_000);
     assert!(!Path::new(&format!("/proc/{board}")).exists(), "the board has ended");
     assert!(!workspace.path("log.csv").exists());

@@ -32,15 +32,18 @@ pub const SPECIAL: [f32; 14] = [
 /// Powers of ten from 1e-8 to 1e8.
 pub const POWERS: [f32; 17] =
     [1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 0.1, 1.0, 10.0, 1e2, 1e3, 1e4, 1e5, 1e6, 1e7, 1e8];
-/// The presets, and two filters that no preset has.
-pub const ESTIMATORS: [EstimatorParams; 6] = [
-    EstimatorParams::FLIGHT,
-    EstimatorParams::PAPER,
-    EstimatorParams::PAPER_LITERAL,
-    EstimatorParams::ROBUST,
-    EstimatorParams::complementary(Kinematics::Quaternion, Weight::Fixed { alpha: 0.97 }),
-    EstimatorParams::complementary(Kinematics::Euler, Weight::TimeConstant { tau_s: 10.0 }),
-];
+/// Two filters that no preset has, and the presets.
+pub const ESTIMATORS: [EstimatorParams; 2 + EstimatorParams::PRESETS.len()] = {
+    let of_no_preset = EstimatorParams::complementary(Kinematics::Quaternion, Weight::Fixed { alpha: 0.97 });
+    let mut all = [of_no_preset; 2 + EstimatorParams::PRESETS.len()];
+    all[1] = EstimatorParams::complementary(Kinematics::Euler, Weight::TimeConstant { tau_s: 10.0 });
+    let mut n = 0;
+    while n < EstimatorParams::PRESETS.len() {
+        all[2 + n] = EstimatorParams::PRESETS[n].1;
+        n += 1;
+    }
+    all
+};
 
 /// A source of bytes, followed by endless zeros.
 pub struct Bytes<'a>(&'a [u8]);

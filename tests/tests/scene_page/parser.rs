@@ -39,24 +39,25 @@ pub fn kind(document: &Table, path: &str, lengths: &[usize]) -> Kind {
     };
     let said = said.split(" (did you mean").next().unwrap_or_default();
     let behind = |start: &str| said.split_once(start).map(|(_, rest)| rest);
-    if let Some(rest) = behind("unknown field `no_such_key`, ") {
-        assert!(rest.starts_with("expected ") || rest == "there are no fields", "{path}: {said}");
+    let list = |rest: &str| rest.split(", ").map(str::to_owned).collect::<Vec<_>>();
+    if let Some(rest) = behind("no_such_key: unknown key: ") {
+        assert!(rest.starts_with("must be one of ") || rest == "the table has no keys", "{path}: {said}");
         assert!(lengths.is_empty() || lengths == [1], "{path}: arrays of {lengths:?} tables");
-        let keys = quoted(rest);
+        let keys = rest.strip_prefix("must be one of ").map_or(Vec::new(), list);
         return if lengths.is_empty() { Kind::Table(keys) } else { Kind::Tables(keys) };
     }
-    if let Some(rest) = behind("unknown variant `no_such_key`, expected ").filter(|_| lengths.is_empty()) {
-        return Kind::Words(quoted(rest));
+    if let Some(rest) = behind(" = no_such_key: must be one of ").filter(|_| lengths.is_empty()) {
+        return Kind::Words(list(rest));
     }
-    if let Some(expected) = behind("invalid type: map, expected ") {
+    if let Some(expected) = behind(": must be ").filter(|expected| !expected.starts_with("a number of ")) {
         let longer = |length| kind(document, path, &[lengths, &[length]].concat());
         let name = match expected {
-            "a sequence" => return longer(1),
-            "an array of length 3" => return longer(3),
-            "f64" => "number",
-            "u8" | "u32" | "u64" | "i16" => "integer",
-            "a boolean" => "boolean",
-            "a string" => "string",
+            "a list" => return longer(1),
+            "a list of three values" => return longer(3),
+            "a number" => "number",
+            "true or false" => "boolean",
+            "text in quotes" => "string",
+            _ if expected.starts_with("a whole number from ") => "integer",
             other => panic!("{path}: a type that this test does not know: {other}"),
         };
         return Kind::Value(match lengths {
@@ -68,7 +69,6 @@ pub fn kind(document: &Table, path: &str, lengths: &[usize]) -> Kind {
         });
     }
     match said {
-        _ if said.ends_with(": must be a string") => Kind::Value("string".into()),
         _ if said.contains(": must be a number of ") => Kind::Value("number or string".into()),
         _ => panic!("{path}: an answer that this test does not know: {said}"),
     }

@@ -57,26 +57,10 @@ pub fn rows(page: &str) -> Vec<Row> {
 }
 
 impl Row {
-    /// Returns the name of the key in the parser's errors.
-    pub fn in_errors(&self) -> &str {
-        let file = format!("{PRESET}.");
-        self.key.strip_prefix("vehicle.").or_else(|| self.key.strip_prefix(&file)).unwrap_or(&self.key)
-    }
-
-    /// Returns whether an error is about this key. flight-core has its own names for the keys of a calibration.
-    pub fn is_in(&self, (said, field): &(String, String)) -> bool {
-        let name =
-            ["_rad_s.", "_m_s2.", "_ut."].iter().fold(self.key.clone(), |name, unit| name.replace(unit, "."));
-        let of_flight_core = name.strip_prefix("flight.").unwrap_or(&name);
-        let last = self.key.rsplit('.').next().unwrap_or_default();
-        field == self.in_errors()
-            || field == "flight"
-                && [" =", " ("].iter().any(|end| said.contains(&format!("{of_flight_core}{end}")))
-            || said.contains(&format!("`{last}`"))
-            // These errors name no key, but only this key has changed.
-            || said.contains(": invalid value: ")
-            || said.contains(": unknown variant ")
-            || said.contains(&format!("{last}: must be"))
+    /// Returns whether an error is about this key.
+    pub fn is_in(&self, (_, field): &(String, String)) -> bool {
+        let in_file = format!("{PRESET}.");
+        *field == self.key || self.key.strip_prefix(&in_file) == Some(field)
     }
 
     /// Returns the permitted words.

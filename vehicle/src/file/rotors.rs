@@ -4,7 +4,7 @@ use flight_core::geometry::Vec3;
 use input::InputError;
 use input::check::in_range;
 
-use super::{Inertia, Notes, Rotors, all_in_range, exactly_one, optional_in_range};
+use super::{Inertia, Notes, Rotors, all_in_range, exactly_one, in_words, optional_in_range};
 
 /// Voltage of a cell under load, V: gives the speed at full throttle from a motor's kV.
 const LOADED_CELL_V: f64 = 3.7;
@@ -117,11 +117,12 @@ impl Rotors {
         let kv = optional_in_range("rotors.kv_rpm_per_v", self.kv_rpm_per_v, 50.0, 30_000.0, "rpm/V")?
             .unwrap_or(0.0);
         let speed = kv * RAD_S_PER_RPM * LOADED_CELL_V * f64::from(cells) * LOADED_SHARE;
-        let how = format!("75 % of {kv} rpm/V at {LOADED_CELL_V} V a cell, {cells} cells");
+        let how = format!("75 % of {kv} rpm/V at {LOADED_CELL_V} V a cell, {}", in_words(cells));
         notes.add("speed at full throttle", format!("{speed:.0} rad/s"), how, true);
         if !(65.0..=1e4).contains(&speed) {
             return Err(InputError::new(format!(
-                "gives {speed:.0} rad/s at full throttle with {cells} cells: must give from 65 to 10000 rad/s"
+                "gives {speed:.0} rad/s at full throttle with {}: must give from 65 to 10000 rad/s",
+                in_words(cells)
             ))
             .field("rotors.kv_rpm_per_v")
             .value(kv));

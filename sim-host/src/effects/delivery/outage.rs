@@ -26,6 +26,10 @@ impl EffectParams for Outage {
         self.for_s.map_or(Ok(()), |for_s| check::key_in_range(key, "for_s", for_s, 1e-3, 1e6, "s"))
     }
 
+    fn at_s(&self) -> Option<f64> {
+        Some(self.at_s)
+    }
+
     fn build(&self, context: &BuildContext) -> BoxedDelivery<RcFrame> {
         Box::new(Dead(Window::new(self.at_s, self.for_s, context.rate_hz)))
     }

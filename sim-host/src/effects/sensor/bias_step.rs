@@ -30,6 +30,10 @@ impl EffectParams for GyroBiasStep {
         check::keys_in_range(key, "bias_deg_s", self.bias_deg_s, -1e3, 1e3, "deg/s")
     }
 
+    fn at_s(&self) -> Option<f64> {
+        Some(self.at_s)
+    }
+
     fn build(&self, _: &BuildContext) -> BoxedSensorEffect {
         Box::new(Step { at_s: self.at_s, by: self.bias_deg_s.map(|b| b * DEG).into() })
     }

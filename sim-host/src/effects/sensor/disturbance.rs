@@ -35,6 +35,10 @@ impl EffectParams for Disturbance {
         check::keys_in_range(key, "field_ut", self.field_ut, -1e4, 1e4, "µT")
     }
 
+    fn at_s(&self) -> Option<f64> {
+        Some(self.at_s)
+    }
+
     fn build(&self, _: &BuildContext) -> BoxedSensorEffect {
         Box::new(Passing { at_s: self.at_s, per_second: 1.0 / self.for_s, field: self.field_ut.into() })
     }

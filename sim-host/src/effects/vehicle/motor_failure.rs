@@ -41,6 +41,10 @@ impl EffectParams for MotorFailure {
         check::key_in_range(key, "limit", self.limit, 0.0, 1.0, "of full speed")
     }
 
+    fn at_s(&self) -> Option<f64> {
+        Some(self.at_s)
+    }
+
     fn build(&self, context: &BuildContext) -> VehicleEffect {
         VehicleEffect::Command(Box::new(Failure {
             rotor: self.rotor as usize - 1,
