@@ -12,6 +12,9 @@ use std::path::Path;
 /// file given as a log does not fill the screen.
 const MAX_VALUE_CHARS: usize = 60;
 
+/// Longest text about what is allowed, characters: more than any list of keys. The columns of a file can be more.
+const MAX_ALLOWED_CHARS: usize = 1_000;
+
 /// What an error says about a key that must be given.
 const MISSING: &str = "is missing";
 
@@ -70,6 +73,11 @@ impl InputError {
         self.file.as_deref()
     }
 
+    /// Returns whether the value is set.
+    pub(crate) fn has_value(&self) -> bool {
+        self.value.is_some()
+    }
+
     /// Returns the column, key or option, if it is set.
     pub fn field_name(&self) -> Option<&str> {
         self.field.as_deref()
@@ -118,19 +126,26 @@ impl fmt::Display for InputError {
         if self.field.is_some() || self.value.is_some() {
             f.write_str(": ")?;
         }
-        on_one_line(f, &self.allowed, usize::MAX)
+        on_one_line(f, &self.allowed, MAX_ALLOWED_CHARS)
     }
 }
 
 impl std::error::Error for InputError {}
 
-/// Writes at most `max_chars` characters of `text`, with control characters and line separators escaped.
+/// Returns whether a character ends a line, changes the direction of the text or controls the terminal. A description of
+/// one line has none, and a message shows none.
+pub fn is_control(c: char) -> bool {
+    c.is_control()
+        || matches!(c, '\u{61c}' | '\u{200e}' | '\u{200f}' | '\u{2028}'..='\u{202e}' | '\u{2066}'..='\u{2069}')
+}
+
+/// Writes at most `max_chars` characters of `text`, with control characters ([`is_control`]) escaped.
 fn on_one_line(f: &mut fmt::Formatter<'_>, text: &str, max_chars: usize) -> fmt::Result {
     for (i, c) in text.chars().enumerate() {
         if i == max_chars {
             return f.write_char('…');
         }
-        if c.is_control() || matches!(c, '\u{2028}' | '\u{2029}') {
+        if is_control(c) {
             write!(f, "{}", c.escape_default())?;
         } else {
             f.write_char(c)?;
@@ -167,5 +182,9 @@ mod tests {
         assert_eq!(error.to_string(), "a\\nb:1: c\\r = \\u{1b}[2J\\u{2028}: must be\\na number");
         let long = InputError::new("short").value("9".repeat(1000)).to_string();
         assert_eq!(long.chars().count(), MAX_VALUE_CHARS + "…: short".chars().count());
+        let long = InputError::new("column, ".repeat(1000)).to_string();
+        assert_eq!(long.chars().count(), MAX_ALLOWED_CHARS + 1);
+        let turned = InputError::new("short").value("a\u{202e}b\u{2066}c\u{200f}").to_string();
+        assert_eq!(turned, "a\\u{202e}b\\u{2066}c\\u{200f}: short");
     }
 }

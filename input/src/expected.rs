@@ -33,8 +33,6 @@ pub(crate) fn in_words(message: &str, path: &str, found: Option<Found>) -> Input
             unknown(path, wrong, words.iter().copied())
         }
         _ => {
-            // What the parser says about an enum.
-            let message = message.replace("wanted string or table", ", expected a string");
             let allowed = match message.split_once(", expected ") {
                 Some((_, expected)) => type_in_words(expected, found.as_ref().map(|found| found.value)),
                 None => message,
@@ -42,7 +40,9 @@ pub(crate) fn in_words(message: &str, path: &str, found: Option<Found>) -> Input
             let error = InputError::new(allowed);
             let error = if path.is_empty() { error } else { error.field(path) };
             match found {
-                Some(Found { value: DeValue::Table(_), .. }) | None => error,
+                // A table in more than one line begins with its header.
+                Some(Found { value: DeValue::Table(_), text }) if !text.starts_with('{') => error,
+                None => error,
                 Some(Found { text, .. }) => {
                     error.value(text.split_whitespace().collect::<Vec<_>>().join(" "))
                 }
@@ -59,8 +59,7 @@ fn type_in_words(expected: &str, found: Option<&DeValue>) -> String {
         "u8" => whole(0, u8::MAX.into()),
         "u16" => whole(0, u16::MAX.into()),
         "u32" => whole(0, u32::MAX.into()),
-        // TOML has no larger integer.
-        "u64" => whole(0, i64::MAX),
+        "u64" => format!("a whole number from 0 to {}", u64::MAX),
         "i16" => whole(i16::MIN.into(), i16::MAX.into()),
         "a boolean" => "true or false".into(),
         "a string" => "text in quotes".into(),

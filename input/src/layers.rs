@@ -10,11 +10,12 @@ use std::path::{Path, PathBuf};
 
 use serde::de::DeserializeOwned;
 use toml::Spanned;
-use toml::de::{DeArray, DeTable, DeValue, Deserializer};
+use toml::de::{DeTable, DeValue};
 use xxhash_rust::xxh3::xxh3_64;
 
 use crate::InputError;
 use crate::expected::{Found, in_words};
+use crate::values;
 
 /// A function that reads a file which a scene names.
 pub type ReadText<'a> = &'a dyn Fn(&Path) -> io::Result<String>;
@@ -79,7 +80,12 @@ impl<'a> Layers<'a> {
         self.texts.push((name.into(), text, base));
         let table = DeTable::parse(text).map_err(|error| {
             let one_line = error.message().split_whitespace().collect::<Vec<_>>().join(" ");
-            self.at(InputError::new(one_line), error.span().map(|span| span.start + base))
+            let key = error.span().and_then(|span| text.get(span)).filter(|_| one_line == "duplicate key");
+            let error_here = match key {
+                Some(key) => InputError::new("must be given only once").field(key),
+                None => InputError::new(one_line),
+            };
+            self.at(error_here, error.span().map(|span| span.start + base))
         })?;
         Ok(shifted(table.into_inner(), base))
     }
@@ -89,38 +95,29 @@ impl<'a> Layers<'a> {
     /// # Errors
     /// A key that is unknown or missing; a value of the wrong type.
     pub fn read<T: DeserializeOwned>(&self, table: &DeTable<'a>) -> Result<T, InputError> {
-        let in_words = |error: toml::de::Error| {
-            // Without a span or with an empty one the error is about the whole table: a key is missing.
-            let at = error.span().filter(|span| !span.is_empty()).map(|span| span.start);
-            let found = at.and_then(|at| find(table, at));
-            let (path, value) = found.unwrap_or_default();
-            self.at(in_words(error.message(), &path, value.map(|value| self.written(value))), at)
-        };
-        let parsed = deserialized(table.clone()).map_err(in_words)?;
-        // The parser ignores further entries of an array of three. Such an array must not be empty, so that it is found by
-        // emptying it.
-        for at in long_arrays(table) {
-            let mut probe = table.clone();
-            empty(&mut probe, at);
-            if let Err(error) = deserialized::<T>(probe) {
-                return Err(in_words(error));
-            }
-        }
-        Ok(parsed)
+        values::read(table).map_err(|error| {
+            // Without an offset the error is about the whole table: a key is missing.
+            let (path, value) = error.at.and_then(|at| find(table, at)).unwrap_or_default();
+            self.at(in_words(&error.message, &path, value.map(|value| self.written(value))), error.at)
+        })
     }
 
     /// Adds file and line of the key that an error names. If the key is not in the table, they are those of the innermost
     /// table around it.
     ///
     /// The error may count the entries of an array of tables from 0: `fault[1].at_s`. The line says which one it is, so the
-    /// count is removed ([`without_counts`]).
+    /// count is removed ([`without_counts`]). The value of a key that is a number is shown as it is written.
     pub fn locate(&self, error: InputError, table: &DeTable<'_>) -> InputError {
         if error.has_file() {
             return error;
         }
         let field = error.field_name().unwrap_or_default().to_owned();
-        let at = offset(table, &field);
+        let (at, value) = offset(table, &field).unzip();
         let error = if field.contains('[') { error.field(without_counts(&field)) } else { error };
+        let error = match value.flatten() {
+            Some(number) if error.has_value() => error.value(self.written(number).text),
+            _ => error,
+        };
         self.at(error, at)
     }
 
@@ -179,39 +176,6 @@ impl<'a> Layers<'a> {
     }
 }
 
-fn deserialized<T: DeserializeOwned>(table: DeTable<'_>) -> Result<T, toml::de::Error> {
-    T::deserialize(Deserializer::from(Spanned::new(0..0, table)))
-}
-
-/// Returns the offsets of the arrays with more than three entries.
-fn long_arrays(table: &DeTable<'_>) -> Vec<usize> {
-    fn below(value: &Spanned<DeValue<'_>>) -> Vec<usize> {
-        match value.get_ref() {
-            DeValue::Table(table) => long_arrays(table),
-            DeValue::Array(entries) => {
-                let own = (entries.len() > 3).then(|| value.span().start);
-                own.into_iter().chain(entries.iter().flat_map(below)).collect()
-            }
-            _ => Vec::new(),
-        }
-    }
-    table.values().flat_map(below).collect()
-}
-
-/// Empties the array at an offset.
-fn empty(table: &mut DeTable<'_>, at: usize) {
-    fn below(value: &mut Spanned<DeValue<'_>>, at: usize) {
-        let here = value.span().start == at;
-        match value.get_mut() {
-            DeValue::Table(table) => empty(table, at),
-            DeValue::Array(entries) if here => *entries = DeArray::default(),
-            DeValue::Array(entries) => entries.iter_mut().for_each(|entry| below(entry, at)),
-            _ => {}
-        }
-    }
-    table.iter_mut().for_each(|(_, value)| below(value, at));
-}
-
 /// Returns the dotted key that an offset is at or whose value it is at, and the value. If there are several, the innermost
 /// counts.
 fn find<'t>(table: &'t DeTable<'t>, at: usize) -> Option<(String, Option<&'t Spanned<DeValue<'t>>>)> {
@@ -237,23 +201,29 @@ fn find_in<'t>(
     inner.or_else(|| (value.span().start == at).then(|| (String::new(), Some(value))))
 }
 
-/// Returns the offset of a dotted key, or of the innermost table around it that exists.
-fn offset(table: &DeTable<'_>, field: &str) -> Option<usize> {
+/// Returns the offset of a dotted key, or of the innermost table around it that exists, and the key's value if it is a
+/// number.
+fn offset<'t>(
+    table: &'t DeTable<'t>,
+    field: &str,
+) -> Option<(usize, Option<&'t Spanned<DeValue<'t>>>)> {
     let (first, rest) = field.split_once('.').unwrap_or((field, ""));
     let (name, entry) = first.trim_end_matches(']').split_once('[').unwrap_or((first, "0"));
     let (key, value) = table.get_key_value(name)?;
+    let start = key.span().start;
     let (start, inner) = match value.get_ref() {
-        DeValue::Table(inner) => (key.span().start, inner),
+        DeValue::Table(inner) => (start, inner),
         DeValue::Array(entries) => {
             let entry = entries.get(entry.parse::<usize>().ok()?)?;
             match entry.get_ref() {
                 DeValue::Table(inner) => (entry.span().start, inner),
-                _ => return Some(key.span().start),
+                _ => return Some((start, None)),
             }
         }
-        _ => return Some(key.span().start),
+        DeValue::Integer(_) | DeValue::Float(_) if rest.is_empty() => return Some((start, Some(value))),
+        _ => return Some((start, None)),
     };
-    offset(inner, rest).or(Some(start))
+    offset(inner, rest).or(Some((start, None)))
 }
 
 /// Returns the string under the top-level `key` of a text, if the key is present.

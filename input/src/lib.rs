@@ -8,5 +8,6 @@ pub mod check;
 mod error;
 mod expected;
 pub mod layers;
+mod values;
 
-pub use error::InputError;
+pub use error::{InputError, is_control};

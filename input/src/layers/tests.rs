@@ -5,8 +5,8 @@ use super::{Layers, merge};
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct File {
-    #[serde(default, rename = "gyro")]
-    _gyro: Option<Gyro>,
+    #[serde(default)]
+    gyro: Option<Gyro>,
     #[serde(default, rename = "move")]
     _moves: Vec<Move>,
 }
@@ -24,6 +24,10 @@ struct Gyro {
     _on: bool,
     #[serde(default, rename = "rotor")]
     _rotor: u8,
+    #[serde(default, rename = "cells", deserialize_with = "crate::check::whole_number::<_, _, 1, 24>")]
+    _cells: u8,
+    #[serde(default)]
+    seed: u64,
     #[serde(default, rename = "kind")]
     _kind: Option<Kind>,
 }
@@ -63,9 +67,21 @@ fn each_wrong_type_is_named_with_its_key_and_line() {
         ("rotor = 256", "gyro.rotor = 256: must be a whole number from 0 to 255"),
         ("kind = \"deaf\"", "gyro.kind = deaf: must be one of dead, spike (did you mean `dead`?)"),
         ("kind = 5", "gyro.kind = 5: must be text in quotes"),
+        ("kind = { dead = {} }", "gyro.kind = { dead = {} }: must be text in quotes"),
+        ("kind = [\"dead\"]", "gyro.kind = [\"dead\"]: must be text in quotes"),
+        ("cells = 25", "gyro.cells = 25: must be a whole number from 1 to 24"),
+        ("cells = 0", "gyro.cells = 0: must be a whole number from 1 to 24"),
+        ("cells = 300", "gyro.cells = 300: must be a whole number from 1 to 24"),
+        ("cells = 2.5", "gyro.cells = 2.5: must be a whole number from 1 to 24"),
+        ("seed = -1", "gyro.seed = -1: must be a whole number from 0 to 18446744073709551615"),
+        (
+            "seed = 18446744073709551616",
+            "gyro.seed = 18446744073709551616: must be a whole number from 0 to 18446744073709551615",
+        ),
+        ("rotor = 1979-05-27", "gyro.rotor = 1979-05-27: must be a whole number from 0 to 255"),
         (
             "nose = 1",
-            "gyro.nose: unknown key: must be one of noise, axes, tones, on, rotor, kind (did you mean `noise`?)",
+            "gyro.nose: unknown key: must be one of noise, axes, tones, on, rotor, cells, seed, kind (did you mean `noise`?)",
         ),
     ] {
         let usual = if line.starts_with("noise") { "" } else { "noise = [1, 2, 3]" };
@@ -73,6 +89,10 @@ fn each_wrong_type_is_named_with_its_key_and_line() {
     }
     assert_eq!(refused("[gyro]\n"), "x.toml:1: gyro.noise: is missing");
     assert_eq!(refused("gyro = 5\n"), "x.toml:1: gyro = 5: must be a table");
+    assert_eq!(refused("gyro = [[1, 2, 3]]\n"), "x.toml:1: gyro = [[1, 2, 3]]: must be a table");
+    assert_eq!(refused("move = [[1]]\n"), "x.toml:1: move = [1]: must be a table");
+    let array = refused("[[gyro]]\nnoise = [1, 2, 3]\n");
+    assert!(array.starts_with("x.toml:1: gyro") && array.ends_with(": must be a table"), "{array}");
     assert_eq!(
         refused("[[move]]\nat_s = 1\n[[move]]\nat_s = true\n"),
         "x.toml:4: move.at_s = true: must be a number"
@@ -86,6 +106,32 @@ fn longer_lists_of_any_length_are_accepted() {
     let text = "gyro = { noise = [1, 2, 3], tones = [1, 2, 3, 4] }\nmove = [{at_s = 1}, {at_s = 2}, {at_s = 3}, {at_s = 4}]\n";
     let table = layers.add("x.toml", text).unwrap();
     layers.read::<File>(&table).unwrap();
+}
+
+#[test]
+fn whole_numbers_may_use_all_64_bits() {
+    let mut layers = Layers::default();
+    let table = layers.add("x.toml", "gyro = { noise = [1, 2, 3], seed = 18446744073709551615 }\n").unwrap();
+    assert_eq!(layers.read::<File>(&table).unwrap().gyro.unwrap().seed, u64::MAX);
+}
+
+#[test]
+fn duplicate_key_is_named() {
+    let error = |text| Layers::default().add("x.toml", text).unwrap_err().to_string();
+    assert_eq!(error("[gyro]\nrotor = 1\nrotor = 2\n"), "x.toml:3: rotor: must be given only once");
+    assert_eq!(error("[gyro]\n[move]\n[gyro]\n"), "x.toml:3: gyro: must be given only once");
+}
+
+#[test]
+fn numbers_are_shown_as_they_are_written() {
+    let mut layers = Layers::default();
+    let table = layers.add("x.toml", "[gyro]\ncutoff = 50.10\nrotor = 0x10\nnoise = [1, 2, 3]\n").unwrap();
+    for (field, shown) in
+        [("gyro.cutoff", "x.toml:2: gyro.cutoff = 50.10: wrong"), ("gyro.rotor", "x.toml:3: gyro.rotor = 0x10: wrong"), ("gyro.noise", "x.toml:4: gyro.noise = 7: wrong")]
+    {
+        let error = crate::InputError::new("wrong").field(field).value(7);
+        assert_eq!(layers.locate(error, &table).to_string(), shown);
+    }
 }
 
 /// The place of a range error: the key, else the innermost table around it.
