@@ -149,7 +149,7 @@ pub fn fly(
         observer,
         wiring: settings.wiring.clone(),
         channels: scene.config.params.channels,
-        steps: step_count(scene),
+        steps: step_count(scene.duration_s),
         after_crash: (settings.after_crash_s * 1e9) as u64 / STEP_NS,
         crash: None,
         crashed_at: 0,

@@ -46,7 +46,7 @@ struct Arguments {
     /// Built-in vehicle or vehicle file instead of the scene's; the board's flash gets its configuration
     #[arg(long, value_name = "NAME|F.toml")]
     vehicle: Option<String>,
-    /// Seed of all random streams instead of the scene's
+    /// Seed of all random streams instead of the scene's, from 0 to 18446744073709551615
     #[arg(long, value_name = "SEED", allow_negative_numbers = true, value_parser = whole_number::<u64>(0, u64::MAX))]
     seed: Option<u64>,
     /// Duration of the flight in seconds instead of the scene's

@@ -6,7 +6,7 @@ use std::process::ExitCode;
 use clap::Parser;
 use clap::error::{ContextKind, ContextValue, ErrorKind};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
-use input::{InputError, check};
+use input::{InputError, check, is_control};
 use serde_json::Value;
 
 use crate::{interrupt, output_file};
@@ -26,33 +26,75 @@ pub struct Answer {
     pub failed: bool,
 }
 
-/// Parses the arguments of the program. If a value is not permitted, prints one line with the option, the value and what
-/// is permitted, and ends the program.
+/// Parses the arguments of the program. If they are wrong, prints one line with the option, the value and what is
+/// permitted, and ends the program. Without any argument it prints the help.
 pub fn parse<T: Parser>() -> T {
-    T::try_parse().unwrap_or_else(|error| match bad_value(&error) {
-        Some(bad_value) => {
-            eprintln!("error: {bad_value}");
+    T::try_parse().unwrap_or_else(|error| match error.kind() {
+        ErrorKind::DisplayHelp
+        | ErrorKind::DisplayVersion
+        | ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand => error.exit(),
+        _ => {
+            output_file::print_note(&format!("error: {}", usage_error(&error)));
             std::process::exit(BAD_INPUT.into())
         }
-        None => error.exit(),
     })
 }
 
-/// Returns the error for the value of an argument, or nothing for any other error.
-fn bad_value(error: &clap::Error) -> Option<InputError> {
+/// Returns an error of the arguments in the form of all errors.
+fn usage_error(error: &clap::Error) -> InputError {
+    in_words(error).unwrap_or_else(|| {
+        // The message, without the usage and the hint at the help that follow it.
+        let message = error.to_string();
+        let message = message.split("\n\nUsage:").next().unwrap_or(&message);
+        let message = message.split("\n\nFor more").next().unwrap_or(message);
+        let one_line = message.split_whitespace().collect::<Vec<_>>().join(" ");
+        InputError::new(one_line.trim_start_matches("error: "))
+    })
+}
+
+/// Returns the error for an argument whose error has parts, or nothing for any other error.
+fn in_words(error: &clap::Error) -> Option<InputError> {
+    // The name of an option is followed by that of its value: `--seed <N>`.
     let text = |kind| match error.get(kind)? {
-        ContextValue::String(text) => Some(text.as_str()),
+        ContextValue::String(text) => Some(text.clone()),
+        ContextValue::Strings(texts) => Some(texts.join(", ")),
         _ => None,
     };
-    // The name is followed by that of the value: `--seed <N>`.
-    let name = text(ContextKind::InvalidArg)?.split(' ').next()?;
-    let value = text(ContextKind::InvalidValue).filter(|value| !value.is_empty())?;
+    let option = |kind| {
+        let text = text(kind)?;
+        Some(text.split(' ').next().filter(|name| name.starts_with('-')).map_or(text.clone(), String::from))
+    };
+    let near = |name: Option<String>| name.map_or(String::new(), |name| format!(" (did you mean `{name}`?)"));
+    let name = option(ContextKind::InvalidArg);
+    let value = text(ContextKind::InvalidValue).filter(|value| !value.is_empty());
     match (error.kind(), error.get(ContextKind::ValidValue)) {
         (ErrorKind::ValueValidation, _) => {
-            Some(InputError::new(error.source()?.to_string()).field(name).value(value))
+            Some(InputError::new(error.source()?.to_string()).field(name?).value(value?))
         }
-        (ErrorKind::InvalidValue, Some(ContextValue::Strings(valid))) => {
-            Some(check::unknown(name, value, valid.iter().map(String::as_str)))
+        (ErrorKind::InvalidValue, Some(ContextValue::Strings(valid))) if value.is_some() => {
+            Some(check::unknown(&name?, &value?, valid.iter().map(String::as_str)))
+        }
+        (ErrorKind::InvalidValue, _) => Some(InputError::new("must have a value").field(name?)),
+        (ErrorKind::UnknownArgument, _) => {
+            let near = near(text(ContextKind::SuggestedArg));
+            Some(InputError::new(format!("unknown argument{near}")).field(name?))
+        }
+        (ErrorKind::InvalidSubcommand, _) => {
+            let near = near(text(ContextKind::SuggestedSubcommand));
+            let allowed = format!("unknown command{near}; --help lists the commands");
+            Some(InputError::new(allowed).field("COMMAND").value(text(ContextKind::InvalidSubcommand)?))
+        }
+        (ErrorKind::MissingRequiredArgument, _) => {
+            Some(InputError::missing().field(text(ContextKind::InvalidArg)?))
+        }
+        (ErrorKind::ArgumentConflict, _) => {
+            let other = option(ContextKind::PriorArg)?;
+            let allowed = if Some(&other) == name.as_ref() {
+                "must be given only once".into()
+            } else {
+                format!("cannot be used with {other}")
+            };
+            Some(InputError::new(allowed).field(name?))
         }
         _ => None,
     }
@@ -88,18 +130,18 @@ pub fn heading(name: &str, description: &str) -> String {
 pub fn conclude(answer: Result<Answer, InputError>, json: bool) -> ExitCode {
     let printed = answer.and_then(|answer| {
         // Names and descriptions come from files: replaces control characters, which could change the terminal.
-        let shown = |text: String| text.replace(|c: char| c.is_control() && c != '\n', "\u{FFFD}");
+        let shown = |text: String| text.replace(|c: char| is_control(c) && c != '\n', "\u{FFFD}");
         let line = if json { answer.json.to_string() } else { shown(answer.text) };
         output_file::print(line.trim_end())?;
         Ok(answer.failed)
     });
     match printed {
         // The command failed because it was interrupted.
-        Ok(true) if interrupt::requested() => ExitCode::from(interrupt::INTERRUPTED),
+        Ok(true) if interrupt::requested() => ExitCode::from(interrupt::code()),
         Ok(true) => ExitCode::from(FAILED),
         Ok(false) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("error: {error}");
+            output_file::print_note(&format!("error: {error}"));
             ExitCode::from(BAD_INPUT)
         }
     }

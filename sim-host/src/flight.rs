@@ -238,7 +238,7 @@ impl<A: Autopilot<Error = Infallible>> Flight<A> {
 impl<A: Autopilot> Flight<A> {
     /// Prepares a flight of this scene with this seed and this autopilot.
     pub fn with_autopilot(autopilot: A, scene: &Scene, seed: u64) -> Self {
-        Self { world: World::new(scene, seed), autopilot, steps: step_count(scene) }
+        Self { world: World::new(scene, seed), autopilot, steps: step_count(scene.duration_s) }
     }
 
     /// Returns the sensors, to add effects that no scene can name: see the example `own_effect`.
@@ -267,9 +267,9 @@ impl<A: Autopilot> Flight<A> {
     }
 }
 
-/// Returns the number of steps of a flight of this scene.
-pub fn step_count(scene: &Scene) -> u64 {
-    (scene.duration_s * f64::from(DEFAULT_RATE_HZ)).round() as u64
+/// Returns the number of steps of a flight of this length.
+pub fn step_count(duration_s: f64) -> u64 {
+    (duration_s * f64::from(DEFAULT_RATE_HZ)).round() as u64
 }
 
 impl World {

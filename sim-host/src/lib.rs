@@ -16,6 +16,8 @@
 //!
 //! The examples `one_flight` and `own_effect` of this package show an observer and an effect of one's own.
 #![deny(unsafe_code)]
+// `println!` and `eprintln!` panic if they cannot write: output_file::print and print_note do not.
+#![cfg_attr(not(test), deny(clippy::print_stdout, clippy::print_stderr))]
 // Tests may compare with the C library's functions: see clippy.toml.
 #![cfg_attr(test, allow(clippy::disallowed_methods))]
 #![warn(missing_docs)]
@@ -33,6 +35,7 @@ pub mod flight;
 pub mod hil;
 pub mod identify;
 pub mod image;
+pub mod input_file;
 pub mod interrupt;
 pub mod log;
 pub mod output_file;

@@ -32,7 +32,11 @@ impl Write for Sink {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         match self {
             Self::Temporary(file) => file.write(bytes),
-            Self::Direct(file) => file.write(bytes),
+            // A pipe whose reader has ended (`| head`) is no error.
+            Self::Direct(file) => match file.write(bytes) {
+                Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Ok(bytes.len()),
+                written => written,
+            },
         }
     }
 
@@ -63,25 +67,50 @@ impl OutputFile {
     /// # Errors
     /// The disk is full, or the file cannot be renamed.
     pub fn finish(self) -> Result<(), InputError> {
-        let Self { sink, path } = self;
-        let finished = || {
-            match sink.into_inner().map_err(io::IntoInnerError::into_error)? {
-                Sink::Temporary(file) => {
-                    // The content before the name: after a power cut the path must not name an empty file.
-                    file.as_file().sync_all()?;
-                    file.persist(resolve_links(&path)?).map_err(|error| error.error)?;
-                    Ok(())
-                }
-                Sink::Direct(mut file) => file.flush(),
+        finish_all([self])
+    }
+
+    /// Writes everything to the disk. The content comes before the name: after a power cut the path must not name an empty
+    /// file.
+    fn write_to_disk(&mut self) -> io::Result<()> {
+        self.sink.flush()?;
+        match self.sink.get_ref() {
+            Sink::Temporary(file) => file.as_file().sync_all(),
+            Sink::Direct(_) => Ok(()),
+        }
+    }
+
+    /// Renames the file to its path.
+    fn rename(self) -> io::Result<()> {
+        match self.sink.into_inner().map_err(io::IntoInnerError::into_error)? {
+            Sink::Temporary(file) => {
+                file.persist(target_of(&self.path)?).map_err(|error| error.error)?;
+                Ok(())
             }
-        };
-        finished().map_err(|error| cannot_write(&path, &error))
+            Sink::Direct(_) => Ok(()),
+        }
     }
 
     /// Returns the error for a failed write to this file.
     pub fn error(&self, error: &io::Error) -> InputError {
         cannot_write(&self.path, error)
     }
+}
+
+/// Completes several files: all, or none if one of them cannot be written to the disk.
+///
+/// # Errors
+/// As [`OutputFile::finish`].
+pub fn finish_all(files: impl IntoIterator<Item = OutputFile>) -> Result<(), InputError> {
+    let mut files: Vec<OutputFile> = files.into_iter().collect();
+    for file in &mut files {
+        file.write_to_disk().map_err(|error| cannot_write(&file.path, &error))?;
+    }
+    for file in files {
+        let path = file.path.clone();
+        file.rename().map_err(|error| cannot_write(&path, &error))?;
+    }
+    Ok(())
 }
 
 /// Writes a text file: complete, or not at all.
@@ -114,7 +143,7 @@ impl Write for OutputFile {
     }
 }
 
-/// Paths of the temporary files. After Ctrl-C the program ends without dropping values, so the handler removes these.
+/// Paths of the temporary files. After a signal the program ends without dropping values, so the handler removes these.
 static UNFINISHED: Mutex<Vec<PathBuf>> = Mutex::new(Vec::new());
 
 fn unfinished<T>(change: impl FnOnce(&mut Vec<PathBuf>) -> T) -> T {
@@ -154,13 +183,8 @@ pub fn check_outputs(inputs: &[&Path], outputs: &[(&str, Option<&Path>)]) -> Res
 
 /// Whether two paths name the same regular file, which need not exist yet. A device or a pipe may take several outputs.
 fn is_same(one: &Path, other: &Path) -> bool {
-    let full_path = |path: &Path| {
-        let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-        let new_file = || Some(fs::canonicalize(folder).ok()?.join(path.file_name()?));
-        fs::canonicalize(path).ok().or_else(new_file)
-    };
     let is_file = |path: &Path| fs::metadata(path).map_or(true, |found| found.is_file());
-    full_path(one).is_some_and(|one| full_path(other) == Some(one)) && is_file(one)
+    target_of(one).is_ok_and(|one| target_of(other).is_ok_and(|other| one == other)) && is_file(one)
 }
 
 /// Prints a line on standard output. A pipe whose reader has ended (`| head`) is no error.
@@ -177,6 +201,11 @@ pub fn print(line: &str) -> Result<(), InputError> {
     }
 }
 
+/// Prints a line on standard error. If it cannot be written, nobody can be told, so this is no error.
+pub fn print_note(line: &str) {
+    let _ = writeln!(io::stderr(), "{line}");
+}
+
 fn cannot_write(path: &Path, error: &io::Error) -> InputError {
     // Cuts the end of the message, which names the temporary file: the user does not know it.
     let message = error.to_string();
@@ -191,11 +220,8 @@ fn open(path: &Path) -> io::Result<Sink> {
         // Opening a directory fails here, with the error of the system.
         return File::options().write(true).open(path).map(Sink::Direct);
     }
-    let target = resolve_links(path)?;
-    let directory = match target.parent() {
-        Some(parent) if !parent.as_os_str().is_empty() => parent,
-        _ => Path::new("."),
-    };
+    let target = target_of(path)?;
+    let directory = target.parent().unwrap_or(Path::new("/"));
     let mut builder = tempfile::Builder::new();
     builder.prefix(".kestrel-");
     #[cfg(unix)]
@@ -207,9 +233,26 @@ fn open(path: &Path) -> io::Result<Sink> {
     builder.tempfile_in(directory).map(Sink::Temporary)
 }
 
-/// Returns the target of a symbolic link, so that the link stays and its target is replaced.
-fn resolve_links(path: &Path) -> io::Result<PathBuf> {
-    if path.exists() { fs::canonicalize(path) } else { Ok(path.to_path_buf()) }
+/// Returns the full path of a file that need not exist. A symbolic link is followed, so that the link stays and its target
+/// is replaced.
+fn target_of(path: &Path) -> io::Result<PathBuf> {
+    /// Longest chain of links to files that do not exist, as in the kernel.
+    const MAX_LINKS: usize = 40;
+    let mut path = path.to_path_buf();
+    for _ in 0..MAX_LINKS {
+        if let Ok(found) = fs::canonicalize(&path) {
+            return Ok(found);
+        }
+        let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        match fs::read_link(&path) {
+            Ok(target) => path = folder.join(target),
+            Err(_) => {
+                let name = path.file_name().ok_or(io::ErrorKind::IsADirectory)?;
+                return Ok(fs::canonicalize(folder)?.join(name));
+            }
+        }
+    }
+    Err(io::Error::other("too many symbolic links"))
 }
 
 #[cfg(test)]
@@ -257,6 +300,31 @@ mod tests {
         file.finish().unwrap();
         assert!(fs::symlink_metadata(&link).unwrap().is_symlink());
         assert_eq!(fs::read_to_string(&target).unwrap(), "new");
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn link_to_a_new_file_stays_and_is_the_same_output() {
+        let directory = tempfile::tempdir().unwrap();
+        let (target, link) = (directory.path().join("target"), directory.path().join("link"));
+        std::os::unix::fs::symlink("target", &link).unwrap();
+        let error = check_outputs(&[], &[("--log", Some(&link)), ("--report", Some(&target))]).unwrap_err();
+        assert!(error.to_string().ends_with("is already the file of --log"), "{error}");
+        write(&link, "new").unwrap();
+        assert!(fs::symlink_metadata(&link).unwrap().is_symlink());
+        assert_eq!(fs::read_to_string(&target).unwrap(), "new");
+    }
+
+    #[cfg(target_os = "linux")]
+    #[test]
+    fn all_files_are_completed_or_none() {
+        let directory = tempfile::tempdir().unwrap();
+        let log = directory.path().join("log.csv");
+        let mut files = [log.as_path(), Path::new("/dev/full")].map(|path| OutputFile::create(path).unwrap());
+        files.iter_mut().for_each(|file| file.write_text("text").unwrap());
+        let error = finish_all(files).unwrap_err().to_string();
+        assert!(error.starts_with("/dev/full: cannot be written: "), "{error}");
+        assert_eq!(fs::read_dir(directory.path()).unwrap().count(), 0);
     }
 
     #[cfg(unix)]

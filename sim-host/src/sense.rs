@@ -94,6 +94,11 @@ impl Observer for InFlight<'_> {
 /// The rate is out of range for the scene, or the log cannot be written.
 pub fn run(scene: &Scene, seed: u64, rate_hz: u32, out: Option<&mut LogWriter>) -> Result<u64, InputError> {
     let refused = |allowed: &str| Err(InputError::new(allowed).field("--rate-hz").value(rate_hz));
+    // The length is a decimal number: a product just below 1 is a rounding error.
+    if scene.duration_s * f64::from(rate_hz) < 1.0 - 1e-9 {
+        let duration_s = scene.duration_s;
+        return refused(&format!("must be at least {:.3} Hz: {duration_s} s have no sample", 1.0 / duration_s));
+    }
     let sampler = if scene.pilot.is_some() {
         if rate_hz == 0 || !DEFAULT_RATE_HZ.is_multiple_of(rate_hz) {
             return refused("must be 1000 Hz or 1000 Hz divided by a whole number, for a scene that flies");

@@ -11,6 +11,7 @@
 mod results;
 mod summary;
 
+use std::fmt;
 use std::num::NonZeroUsize;
 use std::ops::Range;
 use std::str::FromStr;
@@ -21,6 +22,9 @@ use crate::scene::{Drawn, Scene};
 
 pub use results::{merge, merge_with, to_csv, write};
 pub use summary::Summary;
+
+/// Largest number of runs of a campaign.
+pub const MAX_RUNS: u64 = 1_000_000;
 
 /// Identity of a campaign: in equal campaigns, runs with the same number are the same flight.
 #[derive(Clone, Debug, PartialEq)]
@@ -90,6 +94,12 @@ impl Shard {
     pub fn runs(&self, runs: u64) -> Range<u64> {
         let end = |part: u64| (u128::from(runs) * u128::from(part) / u128::from(self.parts)) as u64;
         end(self.part - 1)..end(self.part)
+    }
+}
+
+impl fmt::Display for Shard {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}/{}", self.part, self.parts)
     }
 }
 

@@ -12,14 +12,15 @@
 //! | `drawn.…` | values that the tolerances have drawn, in the order of the scene |
 
 use std::collections::BTreeMap;
-use std::fs::File;
-use std::io::{self, Read, Write as _};
+use std::io::{Read, Write as _};
+use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 
 use flight_core::ArmState;
 
-use super::{Campaign, Run};
-use crate::flight::{Crash, Outcome};
+use super::{Campaign, MAX_RUNS, Run};
+use crate::flight::{Crash, Outcome, STEP_US, step_count};
+use crate::input_file::{self, RowLimit};
 use crate::output_file::OutputFile;
 use input::InputError;
 
@@ -42,10 +43,6 @@ const RUN: [&str; 13] = [
     "position_error_max_m",
     "digest",
 ];
-
-/// Largest number of steps in a row: the longest flight has 10⁶ s of 1000 steps. The sum over all runs that fit into a
-/// machine's memory does not overflow.
-const MAX_STEPS: u64 = 1_000_000_000;
 
 /// Prefix of the columns with drawn values.
 const DRAWN: &str = "drawn.";
@@ -124,7 +121,7 @@ fn table(campaign: &Campaign, runs: &[Run]) -> Result<Vec<u8>, csv::Error> {
 /// # Errors
 /// A file is not one of a campaign, or belongs to another campaign; a run is there twice, or runs are missing.
 pub fn merge(parts: &[PathBuf]) -> Result<(Campaign, Vec<Run>), InputError> {
-    merge_with(parts, |path| File::open(path))
+    merge_with(parts, input_file::open)
 }
 
 /// Merges as [`merge`]; `open` opens the files.
@@ -133,7 +130,7 @@ pub fn merge(parts: &[PathBuf]) -> Result<(Campaign, Vec<Run>), InputError> {
 /// As [`merge`].
 pub fn merge_with<R: Read>(
     parts: &[PathBuf],
-    open: impl Fn(&Path) -> io::Result<R>,
+    open: impl Fn(&Path) -> Result<R, InputError>,
 ) -> Result<(Campaign, Vec<Run>), InputError> {
     let mut merged: Option<(Campaign, Vec<String>, &Path)> = None;
     let mut runs: BTreeMap<u64, (Run, &Path)> = BTreeMap::new();
@@ -216,20 +213,35 @@ fn check_complete(campaign: &Campaign, runs: &BTreeMap<u64, (Run, &Path)>) -> Re
     .field("PART"))
 }
 
+/// Returns the error for a file that cannot be read, without the words of the parser about its place.
+fn unreadable(path: &Path, error: &csv::Error) -> InputError {
+    let what = match error.kind() {
+        csv::ErrorKind::Io(error) => error.to_string(),
+        csv::ErrorKind::Utf8 { .. } => "it must be UTF-8 text".into(),
+        _ => error.to_string(),
+    };
+    let unreadable = InputError::new(format!("cannot be read: {what}")).file(path);
+    match error.position() {
+        Some(position) => unreadable.line(position.line()),
+        None => unreadable,
+    }
+}
+
 /// The rows of one file.
 struct Rows<'a, R> {
     path: &'a Path,
-    reader: csv::Reader<R>,
+    reader: csv::Reader<RowLimit<R>>,
     record: csv::StringRecord,
     /// Names of the drawn quantities.
     drawn: Vec<String>,
 }
 
 impl<'a, R: Read> Rows<'a, R> {
-    fn open(path: &'a Path, open: impl Fn(&Path) -> io::Result<R>) -> Result<Self, InputError> {
-        let unreadable = |error: csv::Error| InputError::new(format!("cannot be read: {error}")).file(path);
-        let mut reader = csv::Reader::from_reader(open(path).map_err(|error| unreadable(error.into()))?);
-        let header = reader.headers().map_err(unreadable)?;
+    fn open(path: &'a Path, open: impl Fn(&Path) -> Result<R, InputError>) -> Result<Self, InputError> {
+        // `advance` checks the number of cells, so that the error has the form of all errors.
+        let mut reader =
+            csv::ReaderBuilder::new().flexible(true).from_reader(RowLimit::new(open(path)?));
+        let header = reader.headers().map_err(|error| unreadable(path, &error))?;
         if header.is_empty() {
             return Err(InputError::new("must be results of `fly --out`: the file is empty").file(path));
         }
@@ -254,11 +266,15 @@ impl<'a, R: Read> Rows<'a, R> {
     }
 
     fn advance(&mut self) -> Result<bool, InputError> {
-        self.reader.read_record(&mut self.record).map_err(|error| {
-            let line = error.position().map(csv::Position::line);
-            let unreadable = InputError::new(format!("cannot be read: {error}")).file(self.path);
-            line.map_or(unreadable.clone(), |line| unreadable.line(line))
-        })
+        self.reader.get_mut().next_row();
+        let read = self.reader.read_record(&mut self.record);
+        let is_row = read.map_err(|error| unreadable(self.path, &error))?;
+        let width = CAMPAIGN.len() + RUN.len() + self.drawn.len();
+        if is_row && self.record.len() != width {
+            let error = self.error(format!("must be {width}, as in the header"));
+            return Err(error.field("number of cells").value(self.record.len()));
+        }
+        Ok(is_row)
     }
 
     fn error(&self, allowed: impl Into<String>) -> InputError {
@@ -276,65 +292,63 @@ impl<'a, R: Read> Rows<'a, R> {
         self.error(allowed).field(column).value(self.text(column))
     }
 
-    fn whole_number(&self, column: &str) -> Result<u64, InputError> {
-        self.text(column).parse().map_err(|_| self.wrong(column, "must be a whole number from 0 to 2^64 - 1"))
+    fn whole_number_in(&self, column: &str, range: RangeInclusive<u64>) -> Result<u64, InputError> {
+        let (minimum, maximum) = (range.start(), range.end());
+        let number = self.text(column).parse().ok().filter(|number| range.contains(number));
+        number.ok_or_else(|| {
+            self.wrong(column, &format!("must be a whole number from {minimum} to {maximum}"))
+        })
     }
 
     fn hash(&self, column: &str) -> Result<u64, InputError> {
-        u64::from_str_radix(self.text(column), 16)
-            .map_err(|_| self.wrong(column, "must be 16 hexadecimal digits"))
+        let digits = self.text(column);
+        let is_hash = digits.len() == 16 && digits.bytes().all(|digit| digit.is_ascii_hexdigit());
+        let hash = u64::from_str_radix(digits, 16).ok().filter(|_| is_hash);
+        hash.ok_or_else(|| self.wrong(column, "must be 16 hexadecimal digits"))
     }
 
-    fn number(&self, column: &str) -> Result<f64, InputError> {
-        self.text(column).parse().map_err(|_| self.wrong(column, "must be a number"))
+    fn number_in(&self, column: &str, minimum: f64, maximum: f64, unit: &str) -> Result<f64, InputError> {
+        let number = self.text(column).parse().ok().filter(|x| (minimum..=maximum).contains(x));
+        number.ok_or_else(|| {
+            self.wrong(column, &format!("must be a number from {minimum} to {maximum} {unit}"))
+        })
     }
 
-    fn duration_s(&self) -> Result<f64, InputError> {
-        let duration_s = self.number("duration_s")?;
-        if (0.01..=1.0e6).contains(&duration_s) {
-            Ok(duration_s)
-        } else {
-            Err(self.wrong("duration_s", "must be from 0.01 to 1000000 s"))
-        }
-    }
-
-    fn control_steps(&self) -> Result<u64, InputError> {
-        match self.whole_number("control_steps")? {
-            steps @ 0..=MAX_STEPS => Ok(steps),
-            _ => Err(self.wrong("control_steps", &format!("must be from 0 to {MAX_STEPS}"))),
-        }
+    /// Returns an error or an angle of a flight: a number that is finite and not negative.
+    fn error_in(&self, column: &str) -> Result<f64, InputError> {
+        let number = self.text(column).parse().ok().filter(|x: &f64| x.is_finite() && *x >= 0.0);
+        number.ok_or_else(|| self.wrong(column, "must be a number of at least 0"))
     }
 
     fn campaign(&self) -> Result<Campaign, InputError> {
+        let runs = self.whole_number_in("runs", 1..=MAX_RUNS)?;
         Ok(Campaign {
             scene: self.text("scene").into(),
             scene_hash: self.hash("scene_hash")?,
             version: self.text("version").into(),
-            duration_s: self.duration_s()?,
-            first_seed: self.whole_number("first_seed")?,
-            runs: self.whole_number("runs")?,
+            duration_s: self.number_in("duration_s", 0.01, 1.0e6, "s")?,
+            first_seed: self.whole_number_in("first_seed", 0..=u64::MAX - (runs - 1))?,
+            runs,
         })
     }
 
     fn run(&self, campaign: &Campaign) -> Result<Run, InputError> {
-        let number = self.whole_number("run")?;
-        if number >= campaign.runs {
-            return Err(
-                self.wrong("run", &format!("must be less than {}, the number of runs", campaign.runs))
-            );
-        }
-        if self.whole_number("seed")? != campaign.seed(number) {
+        let number = self.whole_number_in("run", 0..=campaign.runs - 1)?;
+        if self.whole_number_in("seed", 0..=u64::MAX)? != campaign.seed(number) {
             let allowed = format!("must be {}, the sum of first seed and run", campaign.seed(number));
             return Err(self.wrong("seed", &allowed));
         }
         let crash = match self.text("crash") {
-            "" => None,
+            "" if self.text("crashed_at_s").is_empty() => None,
+            "" => return Err(self.wrong("crashed_at_s", "must be empty in a run without a crash")),
             name => {
                 let crash = Crash::ALL.into_iter().find(|crash| crash.name() == name).ok_or_else(|| {
                     let names = Crash::ALL.map(Crash::name).join(", ");
                     self.wrong("crash", &format!("must be empty or one of {names}"))
                 })?;
-                Some((crash, self.number("crashed_at_s")?))
+                // The crash is found at the end of its step.
+                let end_s = (step_count(campaign.duration_s) * STEP_US) as f64 * 1e-6;
+                Some((crash, self.number_in("crashed_at_s", 0.0, end_s, "s")?))
             }
         };
         let state = |state: &ArmState| state.name() == self.text("final_state");
@@ -344,21 +358,20 @@ impl<'a, R: Read> Rows<'a, R> {
         })?;
         let drawn = self.record.iter().skip(CAMPAIGN.len() + RUN.len());
         let drawn = self.drawn.iter().zip(drawn).map(|(name, cell)| {
-            let value = cell
-                .parse()
-                .map_err(|_| self.error("must be a number").field(format!("{DRAWN}{name}")).value(cell))?;
-            Ok((name.clone(), value))
+            let value = cell.parse().ok().filter(|value: &f64| value.is_finite());
+            let wrong = || self.error("must be a finite number").field(format!("{DRAWN}{name}")).value(cell);
+            Ok((name.clone(), value.ok_or_else(wrong)?))
         });
         Ok(Run {
             number,
             outcome: Outcome {
-                control_steps: self.control_steps()?,
-                attitude_rmse_deg: self.number("attitude_rmse_deg")?,
-                heading_rmse_deg: self.number("heading_rmse_deg")?,
-                inclination_rmse_deg: self.number("inclination_rmse_deg")?,
-                tilt_error_max_deg: self.number("tilt_error_max_deg")?,
-                tilt_max_deg: self.number("tilt_max_deg")?,
-                position_error_max_m: self.number("position_error_max_m")?,
+                control_steps: self.whole_number_in("control_steps", 1..=step_count(campaign.duration_s))?,
+                attitude_rmse_deg: self.error_in("attitude_rmse_deg")?,
+                heading_rmse_deg: self.error_in("heading_rmse_deg")?,
+                inclination_rmse_deg: self.error_in("inclination_rmse_deg")?,
+                tilt_error_max_deg: self.error_in("tilt_error_max_deg")?,
+                tilt_max_deg: self.error_in("tilt_max_deg")?,
+                position_error_max_m: self.error_in("position_error_max_m")?,
                 crash,
                 final_state,
                 digest: self.hash("digest")?,

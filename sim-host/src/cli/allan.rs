@@ -12,7 +12,7 @@ use serde_json::{Map, Value, json};
 use sim_host::identify::model::{self, Analysed, Provenance, Role};
 use sim_host::identify::plot;
 use sim_host::identify::recording::{Column, Layout, Recording};
-use sim_host::output_file::{self, check_outputs};
+use sim_host::output_file::{OutputFile, check_outputs, finish_all};
 
 use super::{Answer, number, progress};
 
@@ -298,7 +298,7 @@ fn write_files(
     provenance: &Provenance,
 ) -> Result<(), InputError> {
     let columns: Vec<Analysed> = results.iter().map(|r| r.analysed.clone()).collect();
-    // All texts are made before the first file is written, so that an error leaves no file behind.
+    // All files are completed together, so that an error leaves none behind.
     let mut files: Vec<(&Path, String)> = Vec::new();
     if let Some(path) = &arguments.imu {
         files.push((path, model::preset(&columns, provenance)?));
@@ -319,10 +319,11 @@ fn write_files(
         );
         files.push((path, plot::chart(heading, panels.collect()).to_svg_file()));
     }
-    for (path, text) in files {
-        output_file::write(path, &text)?;
-    }
-    Ok(())
+    let write = |(path, text): (&Path, String)| {
+        let mut file = OutputFile::create(path)?;
+        file.write_text(&text).map(|()| file)
+    };
+    finish_all(files.into_iter().map(write).collect::<Result<Vec<_>, _>>()?)
 }
 
 fn deviation_name(statistic: Statistic) -> &'static str {

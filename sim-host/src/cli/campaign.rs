@@ -20,7 +20,12 @@ pub fn fly(scene: &Scene, arguments: &FlyArguments) -> Result<Answer, InputError
     let shard = arguments.shard.unwrap_or(Shard::ALL);
     if shard.parts() > campaign.runs {
         let allowed = format!("must have at most as many shards as there are runs, {}", campaign.runs);
-        return Err(InputError::new(allowed).field("--shard").value(format!("…/{}", shard.parts())));
+        return Err(InputError::new(allowed).field("--shard").value(shard));
+    }
+    let last_seed = u64::MAX - (campaign.runs - 1);
+    if scene.seed > last_seed {
+        let allowed = format!("must be from 0 to {last_seed} for {} runs", campaign.runs);
+        return Err(InputError::new(allowed).field("--seed").value(scene.seed));
     }
     check_outputs(&scene.inputs(), &[("--out", arguments.out.as_deref())])?;
     let runs = shard.runs(campaign.runs);

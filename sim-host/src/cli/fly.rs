@@ -6,7 +6,7 @@ use std::time::Instant;
 use input::InputError;
 use sim_host::flight::summary::{describe, to_json, verdict};
 use sim_host::flight::{Flight, FlightLog};
-use sim_host::output_file::check_outputs;
+use sim_host::output_file::{OutputFile, check_outputs, finish_all};
 use sim_host::report::{self, Recorder};
 use sim_host::scene::Scene;
 
@@ -27,8 +27,10 @@ pub fn run(arguments: &FlyArguments) -> Result<Answer, InputError> {
 fn fly_once(scene: &Scene, arguments: &FlyArguments) -> Result<Answer, InputError> {
     let (log, report) = (arguments.log.as_deref(), arguments.report.as_deref());
     check_outputs(&scene.inputs(), &[("--log", log), ("--report", report)])?;
+    // Both are created before the flight: a file that cannot be written is an error now.
     let log = log.map(|path| FlightLog::create(path, scene)).transpose()?;
-    let recorder = arguments.report.as_ref().map(|_| Recorder::new());
+    let report = report.map(OutputFile::create).transpose()?;
+    let recorder = report.as_ref().map(|_| Recorder::new());
     let progress = FlightProgress::new(scene.duration_s, &scene.name);
 
     let mut observer = ((log, recorder), progress);
@@ -38,12 +40,8 @@ fn fly_once(scene: &Scene, arguments: &FlyArguments) -> Result<Answer, InputErro
     let ((log, recorder), progress) = observer;
     progress.finish();
 
-    if let Some(log) = log {
-        log.finish()?;
-    }
-    if let (Some(path), Some(recorder)) = (&arguments.report, &recorder) {
-        report::write(path, scene, scene.seed, &outcome, recorder)?;
-    }
+    let page = |recorder: Recorder| report::page(scene, scene.seed, &outcome, &recorder);
+    write_flight(log, report.zip(recorder.map(page)))?;
     let mut text = describe(scene, &outcome, &verdict(&outcome), wall_s);
     for (name, value) in scene.for_run(scene.seed).1 {
         write!(text, "\n  drawn: {name:<33} {value:.6e}").expect("writing to a String does not fail");
@@ -53,4 +51,17 @@ fn fly_once(scene: &Scene, arguments: &FlyArguments) -> Result<Answer, InputErro
         text,
         failed: u64::from(outcome.crash.is_some()) > arguments.max_failures,
     })
+}
+
+/// Completes the log and the report of a flight: both, or neither.
+pub fn write_flight(
+    log: Option<FlightLog>,
+    report: Option<(OutputFile, String)>,
+) -> Result<(), InputError> {
+    let mut files: Vec<OutputFile> = log.map(FlightLog::into_file).transpose()?.into_iter().collect();
+    if let Some((mut file, page)) = report {
+        file.write_text(&page)?;
+        files.push(file);
+    }
+    finish_all(files)
 }

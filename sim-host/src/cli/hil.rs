@@ -1,7 +1,6 @@
 //! The command `hil`.
 
 use std::fmt::Write as _;
-use std::fs;
 use std::num::NonZeroU32;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -11,11 +10,13 @@ use serde_json::{Value, json};
 use sim_host::flight::{FlightLog, summary};
 use sim_host::hil::{self, Faults, Flown, LinkError, QemuExit, Received, Report, Serial, Wire};
 use sim_host::image::image_sha256;
+use sim_host::input_file::read_image;
 use sim_host::interrupt;
-use sim_host::output_file::check_outputs;
+use sim_host::output_file::{OutputFile, check_outputs, print_note};
 use sim_host::report::{self, Recorder};
 use sim_host::scene::Scene;
 
+use super::fly::write_flight;
 use super::progress::FlightProgress;
 use super::{Answer, HilArguments, load};
 
@@ -51,7 +52,7 @@ fn image(arguments: &HilArguments) -> Result<PathBuf, InputError> {
 #[cfg(all(target_os = "linux", feature = "firmware-log"))]
 fn with_log(scene: &Scene, arguments: &HilArguments) -> Result<Answer, InputError> {
     let image = image(arguments)?;
-    let mut qemu = hil::WithLog::start(&image, |line| eprintln!("{line}"))?;
+    let mut qemu = hil::WithLog::start(&image, |line| print_note(&line.to_string()))?;
     let (flown, wall_s) = fly_once(&mut qemu, scene, arguments)?;
     Ok(answer(scene, &image, &flown, wall_s, Some(&qemu.end())))
 }
@@ -84,7 +85,8 @@ fn fly_once(
         &[("--log", arguments.log.as_deref()), ("--report", arguments.report.as_deref())],
     )?;
     let log = arguments.log.as_ref().map(|path| FlightLog::create(path, scene)).transpose()?;
-    let recorder = arguments.report.as_ref().map(|_| Recorder::new());
+    let report = arguments.report.as_ref().map(OutputFile::create).transpose()?;
+    let recorder = report.as_ref().map(|_| Recorder::new());
     let progress = FlightProgress::new(scene.duration_s, &scene.name);
 
     let mut observer = ((log, recorder), progress);
@@ -97,12 +99,8 @@ fn fly_once(
 
     // An interrupted flight writes no files: they would look like those of a short flight.
     if flown.ended.is_ok() {
-        if let Some(log) = log {
-            log.finish()?;
-        }
-        if let (Some(path), Some(recorder)) = (&arguments.report, &recorder) {
-            report::write(path, scene, scene.seed, &flown.outcome, recorder)?;
-        }
+        let page = |recorder: Recorder| report::page(scene, scene.seed, &flown.outcome, &recorder);
+        write_flight(log, report.zip(recorder.map(page)))?;
     }
     Ok((flown, wall_s))
 }
@@ -135,7 +133,7 @@ fn answer(scene: &Scene, firmware: &Path, flown: &Flown, wall_s: f64, exit: Opti
     };
     let unmodelled = exit.map(|exit| &exit.unmodelled[..]);
     // Only for QEMU: the image of a board at a serial port is unknown.
-    let sha256 = exit.and_then(|_| image_sha256(&fs::read(firmware).ok()?).ok());
+    let sha256 = exit.and_then(|_| image_sha256(&read_image(firmware).ok()?).ok());
     let output_tail = exit.filter(|_| violation.is_some()).map_or(&[][..], |exit| &exit.output_tail);
 
     let mut text = summary::describe(scene, outcome, &verdict, wall_s);

@@ -16,7 +16,7 @@ use std::process::ExitCode;
 
 use clap::{Parser, Subcommand, ValueEnum};
 use input::InputError;
-use sim_host::campaign::Shard;
+use sim_host::campaign::{MAX_RUNS, Shard};
 use sim_host::command::{Answer, conclude, heading, number, parse, whole_number};
 use sim_host::{interrupt, log};
 
@@ -126,16 +126,16 @@ struct FlyArguments {
     /// Built-in vehicle or vehicle file [default: the scene's]
     #[arg(long, value_name = "NAME|F.toml")]
     vehicle: Option<String>,
-    /// Seed of all random streams [default: the scene's]
+    /// Seed of all random streams, from 0 to 18446744073709551615 [default: the scene's]
     #[arg(long, value_name = "SEED", allow_negative_numbers = true, value_parser = whole_number::<u64>(0, u64::MAX))]
     seed: Option<u64>,
     /// Length of the flight in seconds [default: the scene's]
     #[arg(long, value_name = "S", allow_negative_numbers = true, value_parser = number)]
     duration: Option<f64>,
-    /// Number of flights; the seed goes up by one with each
+    /// Number of flights, at most 1000000; the seed goes up by one with each
     #[arg(
-        long, value_name = "SEED", default_value_t = 1,
-        allow_negative_numbers = true, value_parser = whole_number::<u64>(1, 1_000_000)
+        long, value_name = "N", default_value_t = 1,
+        allow_negative_numbers = true, value_parser = whole_number::<u64>(1, MAX_RUNS)
     )]
     runs: u64,
     /// Number of flights in parallel, without effect on the results [default: one for each core]
@@ -157,10 +157,10 @@ struct FlyArguments {
     )]
     max_failures: u64,
     /// Write a log of the flight: sensor samples, truth and motor pulses
-    #[arg(long, value_name = "F.csv", conflicts_with = "runs")]
+    #[arg(long, value_name = "F.csv", conflicts_with_all = ["runs", "out"])]
     log: Option<PathBuf>,
     /// Write a report with plots: one HTML file that needs no network
-    #[arg(long, value_name = "F.html", conflicts_with = "runs")]
+    #[arg(long, value_name = "F.html", conflicts_with_all = ["runs", "out"])]
     report: Option<PathBuf>,
 }
 
@@ -192,7 +192,7 @@ struct HilArguments {
     /// Image for QEMU (ELF) [default: built from the sources]
     #[arg(long, value_name = "FILE", conflicts_with = "serial")]
     image: Option<PathBuf>,
-    /// Seed of all random streams [default: the scene's]
+    /// Seed of all random streams, from 0 to 18446744073709551615 [default: the scene's]
     #[arg(long, value_name = "SEED", allow_negative_numbers = true, value_parser = whole_number::<u64>(0, u64::MAX))]
     seed: Option<u64>,
     /// Length of the flight in seconds [default: the scene's]
@@ -255,7 +255,7 @@ struct SenseArguments {
     /// Write the samples to a log; without this option the command only measures the speed of the simulation
     #[arg(long, value_name = "F.csv")]
     out: Option<PathBuf>,
-    /// Seed of all random streams [default: the scene's]
+    /// Seed of all random streams, from 0 to 18446744073709551615 [default: the scene's]
     #[arg(long, value_name = "SEED", allow_negative_numbers = true, value_parser = whole_number::<u64>(0, u64::MAX))]
     seed: Option<u64>,
     /// Length in seconds [default: the scene's]

@@ -7,6 +7,7 @@ use std::process::{Command, ExitCode};
 
 use input::InputError;
 use sim_host::command::BAD_INPUT;
+use sim_host::output_file::print_note;
 
 /// Arguments that are forwarded to `studies`, which parses them.
 #[derive(clap::Args)]
@@ -30,7 +31,7 @@ pub fn run(command: &str, forwarded: &ForwardedArguments, json: bool) -> ExitCod
         Ok(None) => ExitCode::from(130),
         Err(error) => {
             let allowed = format!("needs cargo, to build the program `studies`: {error}");
-            eprintln!("error: {}", InputError::new(allowed).field(command));
+            print_note(&format!("error: {}", InputError::new(allowed).field(command)));
             ExitCode::from(BAD_INPUT)
         }
     }

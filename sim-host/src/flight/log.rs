@@ -6,6 +6,7 @@ use flight_core::geometry::{Vec3, vec3};
 
 use super::{Observer, StepView};
 use crate::log::{LogRow, LogWriter};
+use crate::output_file::OutputFile;
 use crate::scene::Scene;
 use input::InputError;
 
@@ -48,10 +49,15 @@ impl FlightLog {
     /// # Errors
     /// The first error in writing the file.
     pub fn finish(self) -> Result<(), InputError> {
-        match self.failed {
-            Some(error) => Err(error),
-            None => self.writer.finish(),
-        }
+        self.into_file()?.finish()
+    }
+
+    /// Returns the written file, which the caller completes.
+    ///
+    /// # Errors
+    /// The first error in writing the file.
+    pub fn into_file(self) -> Result<OutputFile, InputError> {
+        self.failed.map_or(Ok(self.writer.into_file()), Err)
     }
 }
 

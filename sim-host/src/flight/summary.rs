@@ -30,7 +30,7 @@ pub fn to_json(scene: &Scene, seed: u64, outcome: &Outcome, wall_s: f64) -> Valu
 /// Returns what a user may not have intended, although the flight did not fail.
 pub fn warnings(scene: &Scene, outcome: &Outcome) -> Vec<String> {
     let lands = scene.pilot.as_ref().is_some_and(|pilot| pilot.plan.land_before_end_s.is_some());
-    let to_the_end = outcome.crash.is_none() && outcome.control_steps == step_count(scene);
+    let to_the_end = outcome.crash.is_none() && outcome.control_steps == step_count(scene.duration_s);
     let mut warnings = scene.warnings();
     if lands && to_the_end && outcome.final_state.flies() {
         warnings.push(format!(

@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use input::InputError;
 
 use crate::image;
+use crate::input_file::read_image;
 
 /// Checks that a file is an image that QEMU can run, and returns its full path.
 ///
@@ -13,7 +14,7 @@ use crate::image;
 /// The file cannot be read, or is not an ELF file for Arm.
 pub fn check(image: &Path) -> Result<PathBuf, InputError> {
     let refused = |allowed: String| InputError::new(allowed).field("--image").value(image.display());
-    let bytes = fs::read(image).map_err(|error| refused(format!("cannot be read: {error}")))?;
+    let bytes = read_image(image).map_err(|error| refused(format!("cannot be read: {error}")))?;
     // The magic number at offset 0, and the machine at offset 18: 40 is EM_ARM.
     if !bytes.starts_with(b"\x7fELF") || bytes.get(18..20) != Some(&[40, 0]) {
         return Err(refused("must be an ELF image for Arm".into()));

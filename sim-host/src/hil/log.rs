@@ -56,7 +56,7 @@ impl<P: FnMut(&Line)> WithLog<P> {
     /// As [`Qemu::start`]; also if the image has no log, or QEMU's memory cannot be read.
     pub fn start(image: &Path, print: P) -> Result<Self, InputError> {
         let refused = |what: String| InputError::new(what).field("--firmware-log");
-        let elf = fs::read(image).map_err(|error| refused(format!("the image cannot be read: {error}")))?;
+        let elf = read_image(image).map_err(|error| refused(format!("the image cannot be read: {error}")))?;
         let decoder = Decoder::new(&elf).map_err(|error| refused(error.to_string()))?;
         let control_block =
             rtt_control_block(&elf).ok_or_else(|| refused("the image has no log by RTT".into()))?;

@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 use csv::ByteRecord;
 
 use super::{Axes, COLUMNS, LogRow};
+use crate::input_file::{self, RowLimit};
 use input::InputError;
 
 /// Largest time, s: beyond 2⁵³ µs a double no longer resolves microseconds.
@@ -79,10 +80,7 @@ impl LogReader<File> {
     /// Opens the file at `path` with the axes `axes`, and reads its header.
     pub fn open(path: impl AsRef<Path>, axes: Axes) -> Result<Self, InputError> {
         let path = path.as_ref();
-        let cannot_read = |error| InputError::new(format!("cannot be read: {error}")).file(path);
-        let file = File::open(path).map_err(cannot_read)?;
-        // Opening a directory succeeds; reading from it fails later.
-        Self::new(file, path, axes)
+        Self::new(input_file::open(path)?, path, axes)
     }
 }
 
@@ -155,7 +153,7 @@ impl<R: Read> Iterator for LogReader<R> {
 /// The non-blank records of a file.
 #[derive(Debug)]
 pub(crate) struct Records<R> {
-    csv: csv::Reader<io::Chain<R, &'static [u8]>>,
+    csv: csv::Reader<RowLimit<io::Chain<R, &'static [u8]>>>,
     pub(crate) current: ByteRecord,
 }
 
@@ -177,13 +175,14 @@ impl<R: Read> Records<R> {
             // returns are trimmed as white space.
             .terminator(csv::Terminator::Any(b'\n'))
             .trim(csv::Trim::All)
-            .from_reader(source.chain(b"\n".as_slice()));
+            .from_reader(RowLimit::new(source.chain(b"\n".as_slice())));
         Self { csv, current: ByteRecord::new() }
     }
 
     /// Advances to the next non-blank record. Returns false at the end of the file.
     pub(crate) fn advance(&mut self) -> Result<bool, csv::Error> {
         loop {
+            self.csv.get_mut().next_row();
             if !self.csv.read_byte_record(&mut self.current)? {
                 return Ok(false);
             }

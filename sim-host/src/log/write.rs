@@ -60,6 +60,11 @@ impl LogWriter {
         self.file.finish()
     }
 
+    /// Returns the written file, which the caller completes.
+    pub fn into_file(self) -> OutputFile {
+        self.file
+    }
+
     fn cell(&mut self, x: f64) {
         write!(self.line, "{x},").expect("writing to a String does not fail");
     }
