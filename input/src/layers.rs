@@ -214,9 +214,9 @@ fn offset<'t>(
     let (start, inner) = match value.get_ref() {
         DeValue::Table(inner) => (start, inner),
         DeValue::Array(entries) => {
-            let entry = entries.get(entry.parse::<usize>().ok()?)?;
-            match entry.get_ref() {
-                DeValue::Table(inner) => (entry.span().start, inner),
+            let entry = entry.parse().ok().and_then(|n: usize| entries.get(n));
+            match entry.map(|entry| (entry.span().start, entry.get_ref())) {
+                Some((start, DeValue::Table(inner))) => (start, inner),
                 _ => return Some((start, None)),
             }
         }

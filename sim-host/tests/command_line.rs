@@ -61,7 +61,7 @@ fn cases() -> Vec<Case> {
             "a negative mass",
             "[flight]",
             "[vehicle]\nmass_g = -650.0\n[flight]",
-            "bad.toml:10: vehicle.mass_g = -650: must be from 10 to 100000 g",
+            "bad.toml:10: vehicle.mass_g = -650.0: must be from 10 to 100000 g",
         ),
         scene(
             "an unknown key of a vehicle",
@@ -74,7 +74,7 @@ fn cases() -> Vec<Case> {
             "a cutoff above Nyquist",
             "[flight]",
             "[flight]\nprefilter_hz = 50.0",
-            "bad.toml:10: flight.prefilter_hz = 50: must be above 0.5 and below 49.95 Hz, just below half the magnetometer's rate",
+            "bad.toml:10: flight.prefilter_hz = 50.0: must be above 0.5 and below 49.95 Hz, just below half the magnetometer's rate",
         ),
         scene(
             "an unknown estimator",
@@ -86,7 +86,7 @@ fn cases() -> Vec<Case> {
             "not a number",
             "duration_s = 30.0",
             "duration_s = nan",
-            "bad.toml:4: scene.duration_s = NaN: must be from 0.01 to 1000000 s",
+            "bad.toml:4: scene.duration_s = nan: must be from 0.01 to 1000000 s",
         ),
         scene(
             "a string for a number",
@@ -104,7 +104,7 @@ fn cases() -> Vec<Case> {
             "a negative seed",
             "seed = 7",
             "seed = -7",
-            "bad.toml:5: scene.seed = -7: must be a whole number from 0 to 9223372036854775807",
+            "bad.toml:5: scene.seed = -7: must be a whole number from 0 to 18446744073709551615",
         ),
         scene(
             "an effect without a value",
@@ -128,7 +128,7 @@ fn cases() -> Vec<Case> {
             "a fault after the end",
             "[pilot]",
             "[[fault]]\nkind = \"dead\"\nsensor = \"mag\"\nat_s = 29.0\n[[fault]]\nkind = \"dead\"\nsensor = \"imu\"\nat_s = 30.0\n[pilot]",
-            "bad.toml:20: fault.at_s = 30: must be below the length of the scene, 30 s",
+            "bad.toml:20: fault.at_s = 30.0: must be below the length of the scene, 30 s",
         ),
         scene("invalid TOML", "[scene]", "[scene", "bad.toml:2: unclosed table, expected `]`"),
         Case {
@@ -196,6 +196,181 @@ fn cases() -> Vec<Case> {
             text: String::new(),
             expected: "--rate-hz = 300: must be 1000 Hz or 1000 Hz divided by a whole number, for a scene that flies",
         },
+        scene(
+            "an array for a table",
+            "[effects.gyro.white_noise]",
+            "[[effects.gyro.white_noise]]",
+            "bad.toml:24: effects.gyro.white_noise: must be a table",
+        ),
+        scene(
+            "a table for a word",
+            "kind = \"hold\"",
+            "kind = { hold = {} }",
+            "bad.toml:14: pilot.kind = { hold = {} }: must be text in quotes",
+        ),
+        Case {
+            name: "a calibration in a list",
+            arguments: &["fly", "bad.toml"],
+            file: "bad.toml",
+            text: "include = \"hover\"
+[flight]
+calibration = [[[0, 0, 0]]]
+".into(),
+            expected: "bad.toml:3: flight.calibration = [[[0, 0, 0]]]: must be a table",
+        },
+        scene(
+            "an empty list of harmonics",
+            "[effects.gyro.white_noise]",
+            "[effects.gyro.vibration]\nharmonics = []\n[effects.gyro.white_noise]",
+            "bad.toml:24: effects.gyro.vibration.harmonics = []: must be a list of 1 to 8 numbers",
+        ),
+        scene(
+            "a rotor beyond the integer's type",
+            "[pilot]",
+            "[effects.vehicle.motor_failure]\nrotor = 4294967296\nat_s = 3.0\n[pilot]",
+            "bad.toml:14: effects.vehicle.motor_failure.rotor = 4294967296: must be a whole number from 1 to 4",
+        ),
+        scene(
+            "a seed that is given twice",
+            "seed = 7",
+            "seed = 7\nseed = 8",
+            "bad.toml:6: seed: must be given only once",
+        ),
+        Case {
+            name: "a description that turns the text",
+            arguments: &["fly", "bad.toml"],
+            file: "bad.toml",
+            text: "include = \"hover\"
+scene.description = \"a\u202eb\"
+".into(),
+            expected: "bad.toml:2: scene.description = a\u{202e}b: must be one line without control characters",
+        },
+        Case {
+            name: "an empty include",
+            arguments: &["fly", "bad.toml"],
+            file: "bad.toml",
+            text: "include = \"\"\n".into(),
+            expected: "bad.toml:1: include = \"\": must be the name of a built-in scene, or the path of a scene file",
+        },
+        Case {
+            name: "a list of scene keys",
+            arguments: &["fly", "bad.toml"],
+            file: "bad.toml",
+            text: "include = \"hover\"\nscene = []\n".into(),
+            expected: "bad.toml:2: scene: must be a table",
+        },
+        Case {
+            name: "a preset without an accelerometer",
+            arguments: &["fly", "bad.toml"],
+            file: "bad.toml",
+            text: "include = \"hover\"\nscene.imu = \"bad.toml\"\n".into(),
+            expected: "bad.toml:1: include: unknown key: must be one of gyro, accel, mag, effects",
+        },
+        Case {
+            name: "capital letters that are small",
+            arguments: &["fly", "bad.toml"],
+            file: "bad.toml",
+            text: "include = \"hover\"\n[vehicle.rc]\norder = \"aetr\"\n".into(),
+            expected: "bad.toml:3: vehicle.rc.order = aetr: must be the capital letters A, E, T and R in channel order, such as AETR or TAER",
+        },
+        Case {
+            name: "gains that the flight controller rejects",
+            arguments: &["fly", "hover", "--vehicle", "bad.toml"],
+            file: "bad.toml",
+            text: include_str!("../../vehicles/five-inch.toml").replace("hub_mm", "# hub_mm").replace("hub_g", "kg_m2 = [2e-6, 2e-6, 2e-6] #"),
+            expected: "bad.toml: gains",
+        },
+        Case {
+            name: "a seed too large for the runs",
+            arguments: &["fly", "--seed", "18446744073709551615", "--runs", "2"],
+            file: "unused",
+            text: String::new(),
+            expected: "--seed = 18446744073709551615: must be from 0 to 18446744073709551614 for 2 runs",
+        },
+        Case {
+            name: "more shards than runs",
+            arguments: &["fly", "--runs", "2", "--shard", "3/8", "--out", "x.csv"],
+            file: "unused",
+            text: String::new(),
+            expected: "--shard = 3/8: must have at most as many shards as there are runs, 2",
+        },
+        Case {
+            name: "a duration without a sample",
+            arguments: &["sense", "static", "--duration", "0.01", "--rate-hz", "50"],
+            file: "unused",
+            text: String::new(),
+            expected: "--rate-hz = 50: must be at least 100.000 Hz: 0.01 s have no sample",
+        },
+        Case {
+            name: "an option that does not exist",
+            arguments: &["fly", "--sead", "3"],
+            file: "unused",
+            text: String::new(),
+            expected: "--sead: unknown argument (did you mean `--seed`?)",
+        },
+        Case {
+            name: "a command that does not exist",
+            arguments: &["fyl"],
+            file: "unused",
+            text: String::new(),
+            expected: "COMMAND = fyl: unknown command; --help lists the commands",
+        },
+        Case {
+            name: "an option without its value",
+            arguments: &["fly", "--seed"],
+            file: "unused",
+            text: String::new(),
+            expected: "--seed: must have a value",
+        },
+        Case {
+            name: "an option that is missing",
+            arguments: &["config", "hover"],
+            file: "unused",
+            text: String::new(),
+            expected: "--out <F.bin>: is missing",
+        },
+        Case {
+            name: "an option twice",
+            arguments: &["fly", "--seed", "1", "--seed", "2"],
+            file: "unused",
+            text: String::new(),
+            expected: "--seed: must be given only once",
+        },
+        Case {
+            name: "options that exclude each other",
+            arguments: &["fly", "--log", "same.csv", "--out", "same.csv"],
+            file: "unused",
+            text: String::new(),
+            expected: "--log: cannot be used with --out",
+        },
+        Case {
+            name: "a value for an option without one",
+            arguments: &["fly", "--json=3"],
+            file: "unused",
+            text: String::new(),
+            expected: "unexpected value '3' for '--json' found; no more were expected",
+        },
+        Case {
+            name: "an endless log",
+            arguments: &["estimate", "/dev/zero"],
+            file: "unused",
+            text: String::new(),
+            expected: "/dev/zero: must be a regular file or a pipe",
+        },
+        Case {
+            name: "an endless part",
+            arguments: &["merge", "/dev/zero"],
+            file: "unused",
+            text: String::new(),
+            expected: "/dev/zero: must be a regular file or a pipe",
+        },
+        Case {
+            name: "an endless image",
+            arguments: &["hil", "hover", "--qemu", "--image", "/dev/zero"],
+            file: "unused",
+            text: String::new(),
+            expected: "--image = /dev/zero: cannot be read: it must be a regular file",
+        },
         log("an empty log", String::new(), "bad.csv: the file is empty: a log must begin with a header row"),
         log(
             "a log with a NaN",
@@ -234,6 +409,76 @@ fn bad_input_gives_a_one_line_error_and_exit_code_2() {
         }
     }
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+}
+
+/// A message that cannot be written does not change the exit code.
+#[cfg(target_os = "linux")]
+#[test]
+fn unwritable_standard_error_keeps_the_exit_code() {
+    for arguments in [&["plan", "nope.toml"][..], &["fly", "--sead"], &["cost", "--sead"]] {
+        let full = std::fs::File::options().write(true).open("/dev/full").unwrap();
+        let mut program = Command::new(env!("CARGO_BIN_EXE_sim-host"));
+        // `cost` starts a program that does not exist.
+        let status = program.args(arguments).env("CARGO", "/nonexistent").stderr(full).status().unwrap();
+        assert_eq!(status.code(), Some(2), "{arguments:?}");
+    }
+}
+
+/// A pipe whose reader has ended is no error.
+#[cfg(target_os = "linux")]
+#[test]
+fn log_to_a_pipe_without_a_reader_is_no_error() {
+    use std::io::Read as _;
+    use std::process::Stdio;
+    let mut program = Command::new(env!("CARGO_BIN_EXE_sim-host"));
+    program.args(["sense", "static", "--duration", "20", "--out", "/dev/stdout"]).stdout(Stdio::piped());
+    let mut sense = program.stderr(Stdio::piped()).spawn().unwrap();
+    sense.stdout.take().unwrap().read_exact(&mut [0; 6]).unwrap();
+    let output = sense.wait_with_output().unwrap();
+    assert_eq!((output.status.code(), output.stderr.len()), (Some(0), 0), "{output:?}");
+}
+
+/// A signal ends the program with its own exit code, and no temporary file stays. `nohup` keeps the program running.
+#[cfg(target_os = "linux")]
+#[test]
+fn signals_remove_temporary_files() {
+    use nix::sys::signal::{Signal, kill};
+    use nix::unistd::Pid;
+    let directory = tempfile::tempdir().unwrap();
+    let files = || std::fs::read_dir(directory.path()).unwrap().count();
+    let program = env!("CARGO_BIN_EXE_sim-host");
+    let sense = ["sense", "static", "--duration", "100000", "--out", "log.csv"];
+    for (program, before, signal, code) in [
+        (program, None, Signal::SIGINT, 130),
+        (program, None, Signal::SIGTERM, 143),
+        (program, None, Signal::SIGHUP, 129),
+        ("nohup", Some(program), Signal::SIGHUP, 143),
+    ] {
+        let mut command = Command::new(program);
+        command.args(before).args(sense).current_dir(directory.path());
+        let null = std::process::Stdio::null;
+        let mut sense = command.stdin(null()).stdout(null()).stderr(null()).spawn().unwrap();
+        while files() == 0 {
+            std::thread::sleep(std::time::Duration::from_millis(5));
+        }
+        let pid = Pid::from_raw(sense.id() as i32);
+        kill(pid, signal).unwrap();
+        if before.is_some() {
+            std::thread::sleep(std::time::Duration::from_millis(200));
+            assert!(sense.try_wait().unwrap().is_none(), "nohup ignores SIGHUP");
+            kill(pid, Signal::SIGTERM).unwrap();
+        }
+        assert_eq!((sense.wait().unwrap().code(), files()), (Some(code), 0), "{signal}");
+    }
+}
+
+#[test]
+fn all_output_paths_are_checked_before_the_flight() {
+    let directory = tempfile::tempdir().unwrap();
+    let output = sim_host(&["fly", "--log", "log.csv", "--report", "missing/report.html"], directory.path());
+    let error = String::from_utf8(output.stderr).unwrap();
+    assert!(error.starts_with("error: missing/report.html: cannot be written: "), "{error}");
+    assert_eq!(std::fs::read_dir(directory.path()).unwrap().count(), 0);
 }
 
 #[test]
@@ -470,8 +715,8 @@ fn vehicle_errors_name_the_file_that_has_them() {
         (&["fly", "hover", "--vehicle", "no-mass.toml"][..], "no-mass.toml: mass_g: is missing"),
         (&["fly", "hover", "--vehicle", "gone.toml"], "--vehicle = gone.toml: gone.toml cannot be read"),
         (&["fly", "hover", "--vehicle", "five-inhc"], "--vehicle = five-inhc: must be one of"),
-        (&["fly", "heavy-below.toml"], "heavy.toml:4: mass_g = -1: must be from 10 to 100000 g"),
-        (&["fly", "heavy-here.toml"], "heavy-here.toml:5: vehicle.mass_g = -1: must be from 10 to 100000 g"),
+        (&["fly", "heavy-below.toml"], "heavy.toml:4: mass_g = -1.0: must be from 10 to 100000 g"),
+        (&["fly", "heavy-here.toml"], "heavy-here.toml:5: vehicle.mass_g = -1.0: must be from 10 to 100000 g"),
         (&["fly", "none.toml"], "none.toml:1: scene.vehicle: is missing"),
         (&["fly", "number.toml"], "number.toml:3: scene.vehicle = 5: must be text in quotes"),
         (&["fly", "include.toml"], "include.toml:1: include = 5: must be text in quotes"),

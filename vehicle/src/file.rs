@@ -11,7 +11,7 @@ use flight_core::prefilter::MAX_RATE_PER_CUTOFF;
 use flight_core::rc::{ArmBy, ChannelMap};
 use input::InputError;
 use input::axes::Axes;
-use input::check::{in_open_range, in_range, unknown};
+use input::check::{in_open_range, in_range, one_line, unknown, whole_number};
 use serde::Deserialize;
 
 use crate::tune::{self, MARGIN_DEG};
@@ -42,6 +42,7 @@ pub struct File {
     #[serde(default)]
     description: String,
     mass_g: f64,
+    #[serde(deserialize_with = "whole_number::<_, _, 1, 24>")]
     cells: u8,
     #[serde(default)]
     feet_mm: Option<f64>,
@@ -211,8 +212,10 @@ struct Battery {
 struct RcChannels {
     /// Order of aileron (roll), elevator (pitch), throttle and rudder (yaw) on the first four channels.
     order: String,
-    /// Counted from 1.
+    /// Counted from 1; 1 to 4 are the sticks.
+    #[serde(deserialize_with = "whole_number::<_, _, 5, 16>")]
     arm_channel: u8,
+    #[serde(deserialize_with = "whole_number::<_, _, 5, 16>")]
     mode_channel: u8,
     arm_by: ArmByName,
 }
@@ -297,7 +300,7 @@ impl File {
     pub fn build(self, name: &str) -> Result<Vehicle, InputError> {
         let mut notes = Notes::default();
         in_range("mass_g", self.mass_g, 10.0, 1.0e5, "g")?;
-        in_range("cells", f64::from(self.cells), 1.0, 24.0, "cells")?;
+        one_line("description", &self.description)?;
         let mass_kg = self.mass_g / 1e3;
         let params = self.params(mass_kg, &mut notes)?;
 
@@ -527,20 +530,15 @@ pub fn estimator(field: &str, name: &str) -> Result<EstimatorParams, InputError>
 
 impl RcChannels {
     fn channels(&self) -> Result<ChannelMap, InputError> {
-        let place =
-            |letter: char| self.order.chars().position(|c| c.eq_ignore_ascii_case(&letter)).map(|n| n as u8);
+        let place = |letter: char| self.order.chars().position(|c| c == letter).map(|n| n as u8);
         let sticks = ['T', 'A', 'E', 'R'].map(place);
         let (4, [Some(t), Some(a), Some(e), Some(r)]) = (self.order.chars().count(), sticks) else {
             return Err(InputError::new(
-                "must be the letters A, E, T and R in channel order, such as AETR or TAER",
+                "must be the capital letters A, E, T and R in channel order, such as AETR or TAER",
             )
             .field("rc.order")
             .value(&self.order));
         };
-        for (field, channel) in [("rc.arm_channel", self.arm_channel), ("rc.mode_channel", self.mode_channel)]
-        {
-            in_range(field, f64::from(channel), 5.0, 16.0, "(1 to 4 are the sticks)")?;
-        }
         if self.arm_channel == self.mode_channel {
             return Err(InputError::new("arm_channel and mode_channel must differ (defaults: 5 and 6)")
                 .field("rc")

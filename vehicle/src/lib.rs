@@ -18,7 +18,7 @@ mod tune;
 
 use std::path::Path;
 
-use flight_core::config::{DescentParams, Params};
+use flight_core::config::{ConfigError, DescentParams, Params};
 use flight_core::control::ControlParams;
 use flight_core::estimator::EstimatorParams;
 use flight_core::geometry::{Mat3, Vec3, vec3};
@@ -240,10 +240,7 @@ impl Vehicle {
         let vehicle = file.build(name).map_err(|error| layers.locate(error, table))?;
         // The flight controller checks the derived figures, too.
         let config = Config { params: vehicle.flight_params(&Params::default()), calibration: None };
-        FlightController::new(&config).map_err(|error| {
-            let error = format!("the flight controller rejects the configuration: {error}");
-            layers.locate(InputError::new(error), table)
-        })?;
+        FlightController::new(&config).map_err(|error| layers.locate(rejected(&error), table))?;
         Ok(vehicle)
     }
 
@@ -281,6 +278,25 @@ impl Vehicle {
         params.mag.mounting = matrix(&self.magnetometer_axes);
         params
     }
+}
+
+/// Returns the error for a value that the flight controller rejects. Its field is the table from which the value follows.
+fn rejected(error: &ConfigError) -> InputError {
+    let (table, advice) = match error.field.split_once('.') {
+        Some(("airframe", name)) if name.starts_with("inertia") => ("inertia", "check it"),
+        Some(("airframe", "idle_rad_s")) => ("rotors.idle_rad_s", "check it"),
+        Some(("airframe", _)) => ("rotors", "check them"),
+        Some(("control", name)) if name.starts_with("max_") && !name.starts_with("max_integral") => {
+            ("rates", "check them")
+        }
+        // A value of [gains] has been checked, so this one is derived.
+        Some(("control", _)) => ("inertia", "check inertia, rotors and mass_g, or give [gains]"),
+        Some(("estimator" | "prefilter", _)) => ("filters", "check them"),
+        _ if error.field.contains("voltage") => ("battery", "check it"),
+        _ => return InputError::new(format!("the flight controller rejects {error}")),
+    };
+    InputError::new(format!("gives {error} for the flight controller: {advice}"))
+        .field(table)
 }
 
 /// Converts a mounting to the rotation from the chip's axes to the body's.

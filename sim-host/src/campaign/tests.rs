@@ -66,12 +66,12 @@ fn jobs_shards_and_their_order_do_not_change_the_file() {
 }
 
 #[test]
-fn crashes_and_infinite_values_survive_the_file() {
+fn crashes_and_large_values_survive_the_file() {
     let campaign = Campaign { scene: "a, \"b\"".into(), ..Campaign::new(&scene(), 7) };
     let mut runs = flown(&campaign, Shard::ALL, 1);
     for (run, crash) in runs.iter_mut().zip(Crash::ALL) {
-        run.outcome.crash = Some((crash, 0.1 + 0.2));
-        run.outcome.tilt_max_deg = f64::INFINITY;
+        run.outcome.crash = Some((crash, 0.01 + 0.02));
+        run.outcome.position_error_max_m = f64::MAX;
     }
     let directory = tempfile::tempdir().unwrap();
     let path = written(&directory.path().join("a.csv"), &campaign, &runs);
@@ -152,7 +152,7 @@ fn files_that_do_not_make_one_campaign_are_refused() {
     );
     assert_eq!(
         altered(",10,3,", ",10,30,"),
-        "altered.csv:5: run = 30: must be less than 10, the number of runs"
+        "altered.csv:5: run = 30: must be a whole number from 0 to 9"
     );
     assert!(
         altered("Disarmed", "Disarmd").starts_with("altered.csv:2: final_state = Disarmd: must be one of")
@@ -160,9 +160,34 @@ fn files_that_do_not_make_one_campaign_are_refused() {
     assert!(altered(",50,", ",50.5,").contains("control_steps = 50.5: must be a whole number"));
     assert!(
         altered(",50,", ",18446744073709551615,")
-            .contains("control_steps = 18446744073709551615: must be from")
+            .contains("control_steps = 18446744073709551615: must be a whole number from 1 to 50")
     );
-    assert!(altered(",0.05,", ",NaN,").ends_with("duration_s = NaN: must be from 0.01 to 1000000 s"));
+    assert!(altered(",50,", ",0,").ends_with(": control_steps = 0: must be a whole number from 1 to 50"));
+    assert!(
+        altered(",0.05,", ",NaN,").ends_with("duration_s = NaN: must be a number from 0.01 to 1000000 s")
+    );
+    assert!(altered(",,,", ",,0.02,").ends_with("crashed_at_s = 0.02: must be empty in a run without a crash"));
+    for at_s in ["-1", "inf", "0.051", ""] {
+        let error = altered(",,,", &format!(",tipped_over,{at_s},"));
+        assert!(error.contains(": crashed_at_s = ") && error.ends_with("must be a number from 0 to 0.05 s"), "{error}");
+    }
+    let hash = format!("{:016x}", campaign.scene_hash);
+    for wrong in ["1", "+123456789abcdef", "00123456789abcdef", "0x23456789abcdef"] {
+        let wanted = format!("altered.csv:2: scene_hash = {wrong}: must be 16 hexadecimal digits");
+        assert_eq!(altered(&hash, wrong), wanted);
+    }
+    let digest = format!("{:016x}", runs[0].outcome.digest);
+    assert_eq!(altered(&digest, "1"), "altered.csv:2: digest = 1: must be 16 hexadecimal digits");
+    let rmse = format!(",{},", runs[0].outcome.attitude_rmse_deg);
+    for wrong in ["-0.5", "NaN", "inf", "x"] {
+        let wanted = format!("altered.csv:2: attitude_rmse_deg = {wrong}: must be a number of at least 0");
+        assert_eq!(altered(&rmse, &format!(",{wrong},")), wanted);
+    }
+    let last_seed = u64::MAX - 9;
+    assert_eq!(
+        altered(",18446744073709,10,", ",18446744073709551615,10,"),
+        format!("altered.csv:2: first_seed = 18446744073709551615: must be a whole number from 0 to {last_seed}")
+    );
     assert!(altered("drawn.mass_kg", "mass_kg").contains("must begin with drawn."));
     let empty = directory.path().join("empty.csv");
     std::fs::write(&empty, "").unwrap();
@@ -171,7 +196,7 @@ fn files_that_do_not_make_one_campaign_are_refused() {
     // A row that is cut off, for example by a full disk.
     let text = std::fs::read_to_string(&first).unwrap();
     std::fs::write(&empty, &text[..text.len() - 60]).unwrap();
-    assert!(error_of(&[&empty]).starts_with("empty.csv:5: cannot be read: "), "{}", error_of(&[&empty]));
+    assert_eq!(error_of(&[&empty]), "empty.csv:5: number of cells = 15: must be 20, as in the header");
 }
 
 #[test]

@@ -12,7 +12,7 @@ use sim_host::hil::{self, Faults, Flown, LinkError, QemuExit, Received, Report, 
 use sim_host::image::image_sha256;
 use sim_host::input_file::read_image;
 use sim_host::interrupt;
-use sim_host::output_file::{OutputFile, check_outputs, print_note};
+use sim_host::output_file::{OutputFile, check_outputs};
 use sim_host::report::{self, Recorder};
 use sim_host::scene::Scene;
 
@@ -52,7 +52,7 @@ fn image(arguments: &HilArguments) -> Result<PathBuf, InputError> {
 #[cfg(all(target_os = "linux", feature = "firmware-log"))]
 fn with_log(scene: &Scene, arguments: &HilArguments) -> Result<Answer, InputError> {
     let image = image(arguments)?;
-    let mut qemu = hil::WithLog::start(&image, |line| print_note(&line.to_string()))?;
+    let mut qemu = hil::WithLog::start(&image, |line| sim_host::output_file::print_note(&line.to_string()))?;
     let (flown, wall_s) = fly_once(&mut qemu, scene, arguments)?;
     Ok(answer(scene, &image, &flown, wall_s, Some(&qemu.end())))
 }

@@ -521,9 +521,22 @@ mod tests {
     #[test]
     fn unreadable_file_is_named() {
         let directory = tempfile::tempdir().unwrap();
-        for path in [directory.path().join("none.csv"), directory.path().to_path_buf()] {
-            let error = Log::read(&path, Axes::default()).unwrap_err().to_string();
-            assert!(error.starts_with(&format!("{}: cannot be read: ", path.display())), "{error}");
-        }
+        let error_of = |path: &Path| Log::read(path, Axes::default()).unwrap_err().to_string();
+        let missing = directory.path().join("none.csv");
+        assert!(error_of(&missing).starts_with(&format!("{}: cannot be read: ", missing.display())));
+        let folder = directory.path().display();
+        assert_eq!(error_of(directory.path()), format!("{folder}: must be a regular file or a pipe"));
+    }
+
+    #[test]
+    fn endless_row_is_an_error() {
+        let row = io::repeat(b'7');
+        let error = LogReader::new(row, "log.csv", Axes::default()).unwrap_err().to_string();
+        assert_eq!(error, "log.csv: cannot be read: a row is longer than 1048576 bytes");
+        let quoted = io::repeat(b'\n');
+        let log = format!("{HEADER}\n\"").into_bytes();
+        let mut log = LogReader::new(log.as_slice().chain(quoted), "log.csv", Axes::default()).unwrap();
+        let error = log.next().unwrap().unwrap_err().to_string();
+        assert_eq!(error, "log.csv: cannot be read: a row is longer than 1048576 bytes");
     }
 }

@@ -215,7 +215,7 @@ mod tests {
                 "fault.axis: must be left out: a fault of kind dead has none",
             ),
             ("kind = \"deaf\"\nsensor = \"mag\"\nat_s = 1.0", "did you mean `dead`?"),
-            ("kind = \"dead\"\nsensor = \"mag\"\nat_s = -1.0", "fault.at_s = -1: must be from 0"),
+            ("kind = \"dead\"\nsensor = \"mag\"\nat_s = -1.0", "fault.at_s = -1.0: must be from 0"),
         ] {
             let error =
                 Scene::parse("wrong", &format!("{BARE}[[fault]]\n{fault}\n")).unwrap_err().to_string();

@@ -73,19 +73,18 @@ impl ImuPreset {
         text: &'a str,
     ) -> Result<(Self, DeTable<'a>), InputError> {
         let table = layers.add(name, text)?;
-        let preset: Self = layers.read(&table)?;
+        let located = |error| {
+            let error = layers.locate(error, &table);
+            if error.has_file() { error } else { error.file(name) }
+        };
+        let preset: Self = layers.read(&table).map_err(located)?;
         for (field, value) in [
             ("gyro.lsb_per_deg_s", preset.gyro.lsb_per_deg_s),
             ("accel.lsb_per_g", preset.accel.lsb_per_g),
             ("mag.lsb_per_gauss", preset.mag.lsb_per_gauss),
         ] {
-            check::in_range(field, value, 0.1, 1e6, "counts")
-                .map_err(|error| layers.locate(error, &table))?;
+            check::in_range(field, value, 0.1, 1e6, "counts").map_err(located)?;
         }
-        let located = |error| {
-            let error = layers.locate(error, &table);
-            if error.has_file() { error } else { error.file(name) }
-        };
         preset.effects.validate().map_err(located)?;
         let effects = match table.get("effects").map(|effects| effects.get_ref()) {
             Some(DeValue::Table(effects)) => effects.clone(),

@@ -72,6 +72,10 @@ impl Included {
         while let Some(next) = layers::text_at(&name, &text, "include")? {
             let found = if let Some(scene) = BUILT_IN.iter().find(|scene| scene.name == next) {
                 Self { name: next, text: scene.text.into() }
+            } else if next.is_empty() {
+                let allowed = "must be the name of a built-in scene, or the path of a scene file";
+                let error = InputError::new(allowed).field("include").value("");
+                return Err(layers::located(&name, &text, error));
             } else {
                 // The path is relative to the file that includes it.
                 let path = Path::new(&name).with_file_name(&next);
@@ -178,10 +182,15 @@ impl Scene {
         vehicle::find(vehicle, Path::new(""), &layers::read_text)
             .map_err(|error| error.field("--vehicle").value(vehicle))?;
         let mut altered = toml::Table::new();
+        let vehicle_path = absolute(vehicle, vehicle::is_built_in(vehicle));
+        let names = [(include.clone(), name_or_path), (vehicle_path.clone(), vehicle)];
         altered.insert("include".into(), include.into());
-        let vehicle = absolute(vehicle, vehicle::is_built_in(vehicle));
-        altered.insert("scene".into(), toml::Table::from_iter([("vehicle".into(), vehicle.into())]).into());
-        Self::parse(&scene.name, &altered.to_string())
+        altered.insert("scene".into(), toml::Table::from_iter([("vehicle".into(), vehicle_path.into())]).into());
+        // An error shows the paths as they were given.
+        Self::parse(&scene.name, &altered.to_string()).map_err(|error| {
+            let given = names.iter().find(|(absolute, _)| error.file_name() == Some(absolute));
+            given.map_or(error.clone(), |(_, given)| error.file(given))
+        })
     }
 
     /// Returns the files that the scene was read from, which no output may overwrite.
@@ -232,13 +241,13 @@ impl Scene {
                 located(&layers, error.field("scene.vehicle").value(&vehicle_name), &table, name)
             })?;
         let mut vehicle_table = layers.add(&vehicle_layer, &vehicle_text)?;
+        if table.get("vehicle").is_some_and(|altered| !altered.get_ref().is_table()) {
+            let error = InputError::new("must be a table; the name of the vehicle is scene.vehicle");
+            return Err(located(&layers, error.field("vehicle"), &table, name));
+        }
         let altered = match table.remove("vehicle").map(Spanned::into_inner) {
-            None => DeTable::new(),
             Some(DeValue::Table(altered)) => altered,
-            Some(_) => {
-                let allowed = "must be a table; the name of the vehicle is scene.vehicle";
-                return Err(InputError::new(allowed).file(name).field("vehicle"));
-            }
+            _ => DeTable::new(),
         };
         vehicle_table = merge(altered, vehicle_table);
         let of_vehicle = |error: InputError| match (error.file_name(), error.field_name()) {
@@ -287,6 +296,7 @@ impl Scene {
     ) -> Result<Self, InputError> {
         let file::SceneFile { scene, flight, pilot, effects, faults, tolerances, .. } = file;
         let vehicle = design.params;
+        check::one_line("scene.description", &scene.description)?;
         effects.validate()?;
         stiffness::check_drag(&effects.vehicle, &vehicle)?;
         for (n, fault) in faults.iter().enumerate() {

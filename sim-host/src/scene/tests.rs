@@ -92,7 +92,7 @@ fn event_that_begins_after_the_end_is_refused() {
     }
     let still = "[pilot]\nkind = \"script\"\nbase = \"centred\"\nthrottle = 0.5\narm_at_s = 0.1\ntake_off_at_s = 2.0\n";
     let error = Scene::parse("late", &format!("{BARE}{still}")).unwrap_err().to_string();
-    assert_eq!(error, "late:11: pilot.take_off_at_s = 2: must be below the length of the scene, 1 s");
+    assert_eq!(error, "late:11: pilot.take_off_at_s = 2.0: must be below the length of the scene, 1 s");
 }
 
 #[test]

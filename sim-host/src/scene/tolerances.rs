@@ -432,7 +432,7 @@ mod tests {
                 "mass_kg = { normal_percent = -1 }",
                 "tolerances.mass_kg.normal_percent = -1: must be from 0 to 50 %",
             ),
-            ("arm_m = { uniform = nan }", "tolerances.arm_m.uniform = NaN: must be from 0 to 0.115 m"),
+            ("arm_m = { uniform = nan }", "tolerances.arm_m.uniform = nan: must be from 0 to 0.115 m"),
             ("gyro_scale_ppm = { uniform_percent = 1 }", "must be uniform or normal: the scene has no value"),
             (
                 "inertia_kg_m2 = { uniform_percent = 8 }",

@@ -63,9 +63,9 @@ pub struct AccelVibration {
 
 fn validate_spectrum(key: &str, harmonics: &[f64], reference_rad_s: Option<f64>) -> Result<(), InputError> {
     if !(1..=8).contains(&harmonics.len()) {
-        return Err(InputError::new("must have 1 to 8 entries")
+        return Err(InputError::new("must be a list of 1 to 8 numbers")
             .field(format!("{key}.harmonics"))
-            .value(harmonics.len()));
+            .value(format!("{harmonics:?}")));
     }
     check::keys_in_range(key, "harmonics", harmonics.iter().copied(), -100.0, 100.0, "times the tone")?;
     reference_rad_s

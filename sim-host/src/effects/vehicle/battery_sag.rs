@@ -29,6 +29,7 @@ use input::check;
 #[serde(deny_unknown_fields)]
 pub struct BatterySag {
     /// Number of cells in series, n.
+    #[serde(deserialize_with = "check::whole_number::<_, _, 1, 24>")]
     pub cells: u32,
     /// Capacity Q, mA·h.
     pub capacity_mah: f64,
@@ -49,7 +50,6 @@ impl EffectParams for BatterySag {
     type Effect = VehicleEffect;
 
     fn validate(&self, key: &str) -> Result<(), InputError> {
-        check::key_in_range(key, "cells", f64::from(self.cells), 1.0, 24.0, "cells")?;
         check::key_in_range(key, "capacity_mah", self.capacity_mah, 10.0, 1e6, "mAh")?;
         check::key_in_range(key, "resistance_mohm", self.resistance_mohm, 0.1, 1e4, "mΩ")?;
         check::key_in_range(key, "efficiency", self.efficiency, 0.05, 1.0, "of the battery's power")?;

@@ -18,6 +18,7 @@ use input::check;
 #[serde(deny_unknown_fields)]
 pub struct MotorFailure {
     /// Number of the rotor: 1 front left, 2 front right, 3 rear right, 4 rear left.
+    #[serde(deserialize_with = "check::whole_number::<_, _, 1, 4>")]
     pub rotor: u32,
     /// Time of the failure, s from the start of the scene.
     pub at_s: f64,
@@ -30,13 +31,6 @@ impl EffectParams for MotorFailure {
     type Effect = VehicleEffect;
 
     fn validate(&self, key: &str) -> Result<(), InputError> {
-        if !(1..=4).contains(&self.rotor) {
-            return Err(InputError::new(
-                "must be 1 (front left), 2 (front right), 3 (rear right) or 4 (rear left)",
-            )
-            .field(format!("{key}.rotor"))
-            .value(self.rotor));
-        }
         check::key_in_range(key, "at_s", self.at_s, 0.0, 1e6, "s")?;
         check::key_in_range(key, "limit", self.limit, 0.0, 1.0, "of full speed")
     }
@@ -91,7 +85,12 @@ mod tests {
 
     #[test]
     fn rotor_number_5_is_an_error() {
-        let error = MotorFailure { rotor: 5, at_s: 2.0, limit: 0.0 }.validate("k").unwrap_err().to_string();
-        assert!(error.starts_with("k.rotor = 5: must be 1"), "{error}");
+        for rotor in [0_i64, 5, 300, -1] {
+            let failure = format!("[effects.vehicle.motor_failure]\nrotor = {rotor}\nat_s = 2.0\n");
+            let text = format!("include = \"hover\"\n{failure}");
+            let error = crate::scene::Scene::parse("s", &text).unwrap_err().to_string();
+            let wanted = "must be a whole number from 1 to 4";
+            assert_eq!(error, format!("s:3: effects.vehicle.motor_failure.rotor = {rotor}: {wanted}"));
+        }
     }
 }
