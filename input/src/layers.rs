@@ -203,10 +203,7 @@ fn find_in<'t>(
 
 /// Returns the offset of a dotted key, or of the innermost table around it that exists, and the key's value if it is a
 /// number.
-fn offset<'t>(
-    table: &'t DeTable<'t>,
-    field: &str,
-) -> Option<(usize, Option<&'t Spanned<DeValue<'t>>>)> {
+fn offset<'t>(table: &'t DeTable<'t>, field: &str) -> Option<(usize, Option<&'t Spanned<DeValue<'t>>>)> {
     let (first, rest) = field.split_once('.').unwrap_or((field, ""));
     let (name, entry) = first.trim_end_matches(']').split_once('[').unwrap_or((first, "0"));
     let (key, value) = table.get_key_value(name)?;

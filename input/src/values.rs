@@ -198,6 +198,7 @@ impl<'v, I: Iterator<Item = &'v Spanned<DeValue<'v>>>> SeqAccess<'v> for Items<I
 
     fn next_element_seed<S: DeserializeSeed<'v>>(&mut self, seed: S) -> Result<Option<S::Value>, Error> {
         let next = self.0.next();
-        next.map(|value| seed.deserialize(Value(value.get_ref())).map_err(|error| error.at(value))).transpose()
+        next.map(|value| seed.deserialize(Value(value.get_ref())).map_err(|error| error.at(value)))
+            .transpose()
     }
 }

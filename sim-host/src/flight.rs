@@ -415,7 +415,8 @@ impl World {
         }
         // The distance of a state that is still finite may not be.
         let distance_m = (state.position - pilot.target_m(self.time_us as f64 * 1e-6)).norm();
-        self.statistics.position_error_max_m = self.statistics.position_error_max_m.max(distance_m.min(f64::MAX));
+        self.statistics.position_error_max_m =
+            self.statistics.position_error_max_m.max(distance_m.min(f64::MAX));
         (distance_m > MAX_DISTANCE_M).then_some(Crash::FlownAway)
     }
 

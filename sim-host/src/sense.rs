@@ -97,7 +97,10 @@ pub fn run(scene: &Scene, seed: u64, rate_hz: u32, out: Option<&mut LogWriter>) 
     // The length is a decimal number: a product just below 1 is a rounding error.
     if scene.duration_s * f64::from(rate_hz) < 1.0 - 1e-9 {
         let duration_s = scene.duration_s;
-        return refused(&format!("must be at least {:.3} Hz: {duration_s} s have no sample", 1.0 / duration_s));
+        return refused(&format!(
+            "must be at least {:.3} Hz: {duration_s} s have no sample",
+            1.0 / duration_s
+        ));
     }
     let sampler = if scene.pilot.is_some() {
         if rate_hz == 0 || !DEFAULT_RATE_HZ.is_multiple_of(rate_hz) {

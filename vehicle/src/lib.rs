@@ -295,8 +295,7 @@ fn rejected(error: &ConfigError) -> InputError {
         _ if error.field.contains("voltage") => ("battery", "check it"),
         _ => return InputError::new(format!("the flight controller rejects {error}")),
     };
-    InputError::new(format!("gives {error} for the flight controller: {advice}"))
-        .field(table)
+    InputError::new(format!("gives {error} for the flight controller: {advice}")).field(table)
 }
 
 /// Converts a mounting to the rotation from the chip's axes to the body's.

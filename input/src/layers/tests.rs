@@ -126,9 +126,11 @@ fn duplicate_key_is_named() {
 fn numbers_are_shown_as_they_are_written() {
     let mut layers = Layers::default();
     let table = layers.add("x.toml", "[gyro]\ncutoff = 50.10\nrotor = 0x10\nnoise = [1, 2, 3]\n").unwrap();
-    for (field, shown) in
-        [("gyro.cutoff", "x.toml:2: gyro.cutoff = 50.10: wrong"), ("gyro.rotor", "x.toml:3: gyro.rotor = 0x10: wrong"), ("gyro.noise", "x.toml:4: gyro.noise = 7: wrong")]
-    {
+    for (field, shown) in [
+        ("gyro.cutoff", "x.toml:2: gyro.cutoff = 50.10: wrong"),
+        ("gyro.rotor", "x.toml:3: gyro.rotor = 0x10: wrong"),
+        ("gyro.noise", "x.toml:4: gyro.noise = 7: wrong"),
+    ] {
         let error = crate::InputError::new("wrong").field(field).value(7);
         assert_eq!(layers.locate(error, &table).to_string(), shown);
     }

@@ -239,8 +239,7 @@ struct Rows<'a, R> {
 impl<'a, R: Read> Rows<'a, R> {
     fn open(path: &'a Path, open: impl Fn(&Path) -> Result<R, InputError>) -> Result<Self, InputError> {
         // `advance` checks the number of cells, so that the error has the form of all errors.
-        let mut reader =
-            csv::ReaderBuilder::new().flexible(true).from_reader(RowLimit::new(open(path)?));
+        let mut reader = csv::ReaderBuilder::new().flexible(true).from_reader(RowLimit::new(open(path)?));
         let header = reader.headers().map_err(|error| unreadable(path, &error))?;
         if header.is_empty() {
             return Err(InputError::new("must be results of `fly --out`: the file is empty").file(path));
@@ -295,9 +294,8 @@ impl<'a, R: Read> Rows<'a, R> {
     fn whole_number_in(&self, column: &str, range: RangeInclusive<u64>) -> Result<u64, InputError> {
         let (minimum, maximum) = (range.start(), range.end());
         let number = self.text(column).parse().ok().filter(|number| range.contains(number));
-        number.ok_or_else(|| {
-            self.wrong(column, &format!("must be a whole number from {minimum} to {maximum}"))
-        })
+        number
+            .ok_or_else(|| self.wrong(column, &format!("must be a whole number from {minimum} to {maximum}")))
     }
 
     fn hash(&self, column: &str) -> Result<u64, InputError> {
@@ -346,8 +344,9 @@ impl<'a, R: Read> Rows<'a, R> {
                     let names = Crash::ALL.map(Crash::name).join(", ");
                     self.wrong("crash", &format!("must be empty or one of {names}"))
                 })?;
-                // The crash is found at the end of its step.
-                let end_s = (step_count(campaign.duration_s) * STEP_US) as f64 * 1e-6;
+                // A crash is found at the end of its step, which may be half a step after the end of the flight.
+                let last_step_s = (step_count(campaign.duration_s) * STEP_US) as f64 * 1e-6;
+                let end_s = campaign.duration_s.max(last_step_s);
                 Some((crash, self.number_in("crashed_at_s", 0.0, end_s, "s")?))
             }
         };

@@ -150,10 +150,7 @@ fn files_that_do_not_make_one_campaign_are_refused() {
         altered(",10,0,18446744073709,", ",10,0,1,"),
         "altered.csv:2: seed = 1: must be 18446744073709, the sum of first seed and run"
     );
-    assert_eq!(
-        altered(",10,3,", ",10,30,"),
-        "altered.csv:5: run = 30: must be a whole number from 0 to 9"
-    );
+    assert_eq!(altered(",10,3,", ",10,30,"), "altered.csv:5: run = 30: must be a whole number from 0 to 9");
     assert!(
         altered("Disarmed", "Disarmd").starts_with("altered.csv:2: final_state = Disarmd: must be one of")
     );
@@ -166,10 +163,15 @@ fn files_that_do_not_make_one_campaign_are_refused() {
     assert!(
         altered(",0.05,", ",NaN,").ends_with("duration_s = NaN: must be a number from 0.01 to 1000000 s")
     );
-    assert!(altered(",,,", ",,0.02,").ends_with("crashed_at_s = 0.02: must be empty in a run without a crash"));
+    assert!(
+        altered(",,,", ",,0.02,").ends_with("crashed_at_s = 0.02: must be empty in a run without a crash")
+    );
     for at_s in ["-1", "inf", "0.051", ""] {
         let error = altered(",,,", &format!(",tipped_over,{at_s},"));
-        assert!(error.contains(": crashed_at_s = ") && error.ends_with("must be a number from 0 to 0.05 s"), "{error}");
+        assert!(
+            error.contains(": crashed_at_s = ") && error.ends_with("must be a number from 0 to 0.05 s"),
+            "{error}"
+        );
     }
     let hash = format!("{:016x}", campaign.scene_hash);
     for wrong in ["1", "+123456789abcdef", "00123456789abcdef", "0x23456789abcdef"] {
@@ -186,7 +188,9 @@ fn files_that_do_not_make_one_campaign_are_refused() {
     let last_seed = u64::MAX - 9;
     assert_eq!(
         altered(",18446744073709,10,", ",18446744073709551615,10,"),
-        format!("altered.csv:2: first_seed = 18446744073709551615: must be a whole number from 0 to {last_seed}")
+        format!(
+            "altered.csv:2: first_seed = 18446744073709551615: must be a whole number from 0 to {last_seed}"
+        )
     );
     assert!(altered("drawn.mass_kg", "mass_kg").contains("must begin with drawn."));
     let empty = directory.path().join("empty.csv");

@@ -54,10 +54,7 @@ fn fly_once(scene: &Scene, arguments: &FlyArguments) -> Result<Answer, InputErro
 }
 
 /// Completes the log and the report of a flight: both, or neither.
-pub fn write_flight(
-    log: Option<FlightLog>,
-    report: Option<(OutputFile, String)>,
-) -> Result<(), InputError> {
+pub fn write_flight(log: Option<FlightLog>, report: Option<(OutputFile, String)>) -> Result<(), InputError> {
     let mut files: Vec<OutputFile> = log.map(FlightLog::into_file).transpose()?.into_iter().collect();
     if let Some((mut file, page)) = report {
         file.write_text(&page)?;

@@ -185,7 +185,8 @@ impl Scene {
         let vehicle_path = absolute(vehicle, vehicle::is_built_in(vehicle));
         let names = [(include.clone(), name_or_path), (vehicle_path.clone(), vehicle)];
         altered.insert("include".into(), include.into());
-        altered.insert("scene".into(), toml::Table::from_iter([("vehicle".into(), vehicle_path.into())]).into());
+        altered
+            .insert("scene".into(), toml::Table::from_iter([("vehicle".into(), vehicle_path.into())]).into());
         // An error shows the paths as they were given.
         Self::parse(&scene.name, &altered.to_string()).map_err(|error| {
             let given = names.iter().find(|(absolute, _)| error.file_name() == Some(absolute));
