@@ -223,7 +223,7 @@ calibration = [[[0, 0, 0]]]
             "an empty list of harmonics",
             "[effects.gyro.white_noise]",
             "[effects.gyro.vibration]\nharmonics = []\n[effects.gyro.white_noise]",
-            "bad.toml:25: effects.gyro.vibration.harmonics = []: must be a list of 1 to 8 numbers",
+            "bad.toml:25: effects.gyro.vibration.harmonics = []: must have 1 to 8 entries",
         ),
         scene(
             "a rotor beyond the integer's type",

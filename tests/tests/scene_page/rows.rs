@@ -164,7 +164,8 @@ pub fn end(document: &Table, row: &Row, text: &str) -> Option<f64> {
 
 /// Returns the range that an error names: both ends, whether the ends are refused, and the unit.
 pub fn allowed(said: &str) -> Option<(f64, f64, bool, &str)> {
-    let inclusive = said.split_once("must be from ").map(|(_, rest)| (rest, " to ", false));
+    let from = said.split_once("must be from ").or_else(|| said.split_once("must be a whole number from "));
+    let inclusive = from.map(|(_, rest)| (rest, " to ", false));
     let (rest, between, exclusive) = inclusive
         .or_else(|| said.split_once("must be above ").map(|(_, rest)| (rest, " and below ", true)))?;
     let (low, rest) = rest.split_once(between)?;

@@ -63,7 +63,7 @@ pub struct AccelVibration {
 
 fn validate_spectrum(key: &str, harmonics: &[f64], reference_rad_s: Option<f64>) -> Result<(), InputError> {
     if !(1..=8).contains(&harmonics.len()) {
-        return Err(InputError::new("must be a list of 1 to 8 numbers")
+        return Err(InputError::new("must have 1 to 8 entries")
             .field(format!("{key}.harmonics"))
             .value(format!("{harmonics:?}")));
     }
