@@ -34,9 +34,11 @@ pub fn install_handler() {
 #[cfg(unix)]
 fn on_signal(handler: impl Fn(u8) + Send + 'static) -> std::io::Result<()> {
     use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
-    // A signal that is ignored stays so: `nohup` ignores SIGHUP, and a shell's script SIGINT of its background jobs.
-    let signals = [SIGINT, SIGTERM, SIGHUP].into_iter().filter(|signal| !is_ignored(*signal));
-    let mut signals = signal_hook::iterator::Signals::new(signals)?;
+    let mut signals = signal_hook::iterator::Signals::new([SIGINT, SIGTERM])?;
+    // `nohup` starts the program with SIGHUP ignored.
+    if !is_ignored(SIGHUP) {
+        signals.add_signal(SIGHUP)?;
+    }
     std::thread::spawn(move || signals.forever().for_each(|signal| handler(signal as u8)));
     Ok(())
 }
