@@ -134,9 +134,9 @@ fn errors_name_file_field_and_limit() {
             "altered.toml:4: mass_g = 2000.0: is too heavy for rotors that lift 1299 g",
         ),
         (
-            "cells = 3",
-            "cells = 3\ndescription = \"two\\nlines\"",
-            "altered.toml:6: description = two\\nlines: must be one line without control characters",
+            "description = \"OS4, the paper's quadrotor\"",
+            "description = \"two\\nlines\"",
+            "altered.toml:3: description = two\\nlines: must be one line without control characters",
         ),
         ("mass_g = 650.0", "mass_kg = 0.65", "altered.toml:4: mass_kg: unknown key: must be one of"),
         (
