@@ -26,7 +26,8 @@ fn for_every_board<T>(expected: &[(&str, T)], check: impl Fn(&Board, &T)) {
     assert_eq!(expected.len(), BUILT_IN.len(), "an expectation of a board that is not built in");
 }
 
-/// Compares the motor pads with ArduPilot's `hwdef.dat`: a second source, from which the files were not written.
+/// Compares the motor pads with ArduPilot's `hwdef.dat`. It is a second source, because the board files were not
+/// written from it.
 #[test]
 fn motor_pads_match_ardupilot() {
     let expected = [

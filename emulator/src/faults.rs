@@ -98,7 +98,7 @@ impl ActiveFaults {
     /// Applies a fault.
     ///
     /// # Panics
-    /// The image does not have the function or variable: the test would test nothing.
+    /// Panics if the image does not have the function or variable, because the test would then test nothing.
     pub fn apply(&mut self, fault: Fault, machine: &mut Machine, host: &mut dyn Host, now: VirtualNanos) {
         match fault {
             Fault::ImuDead(dead) => machine.imu().faults.dead = dead,

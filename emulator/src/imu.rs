@@ -60,7 +60,7 @@ pub struct Imu {
     reset_requested: bool,
     phase: Phase,
     bank: u8,
-    /// INT_CONFIG, INT_CONFIG1, INT_SOURCE0, as written.
+    /// The registers INT_CONFIG, INT_CONFIG1 and INT_SOURCE0, as the firmware wrote them.
     int_config: [u8; 3],
     /// PWR_MGMT0, GYRO_CONFIG0, ACCEL_CONFIG0, as written.
     rate_config: [u8; 3],

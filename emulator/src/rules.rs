@@ -38,7 +38,8 @@ pub struct Rules {
     pending: BTreeMap<String, u32>,
     /// Broken rules, with the time of the violation, s.
     broken: BTreeMap<String, f64>,
-    /// Streams of both controllers that were enabled at the last access since the last reset, a bit each.
+    /// The DMA streams of both controllers that were enabled at the last access, one bit for each. A reset clears the
+    /// bits.
     streams_on: u32,
     resets: usize,
 }

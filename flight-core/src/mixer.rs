@@ -319,8 +319,8 @@ mod tests {
             }
         }
 
-        /// An independent way to the same result: bisection on the share of yaw, with the range checked for each
-        /// rotor.
+        /// Finds the same result in an independent way, by bisection on the share of yaw, with the range checked for
+        /// each rotor.
         #[test]
         fn yaw_is_reduced_no_more_than_needed(x in -1.0_f32..1.0, y in -1.0_f32..1.0, z in -0.5_f32..0.5) {
             let mixer = mixer();

@@ -294,7 +294,7 @@ mod tests {
             prop_assert!(a2.abs() < 1.0 && a1.abs() < 1.0 + a2);
         }
 
-        /// Equal to a second form of the same filter: direct form I in f64, which stores inputs and outputs.
+        /// The filter equals a second form of itself, direct form I in f64, which stores inputs and outputs.
         #[test]
         fn section_equals_the_difference_equation(
             (cutoff_hz, rate_hz) in design(), start in -1000.0..1000.0_f32, x in prop::collection::vec(-1000.0..1000.0_f32, 1..100),

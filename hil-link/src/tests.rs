@@ -157,7 +157,7 @@ proptest! {
     #[test]
     fn truncated_frame_gives_an_error_or_nothing(cut in 0_usize..60) {
         let good = frame(1, &ToBoard::Step(step()));
-        // Without only the final zero, the frame would be complete.
+        // Cut at least one byte more than the final zero, because a frame that lacks only this zero would be complete.
         let cut = cut.min(good.len() - 2);
         let found = decode::<ToBoard>(&[&good[..cut], &[0]].concat());
         prop_assert!(found.iter().all(Result::is_err), "cut at {cut}");

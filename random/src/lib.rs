@@ -184,7 +184,7 @@ mod tests {
             }
         }
         let n = f64::from(n);
-        // The bounds are five standard errors: √(1, 2, 15, 96)/√n.
+        // The bounds are five standard errors. Those of the four moments are √1/√n, √2/√n, √15/√n and √96/√n.
         for (got, (want, variance)) in
             moments.iter().zip([(0.0, 1.0), (1.0, 2.0), (0.0, 15.0), (3.0, 96.0_f64)])
         {

@@ -345,7 +345,7 @@ mod tests {
     use super::*;
     use crate::log::{LogRow, LogWriter};
 
-    /// Gyroscope bias about x in the test log, rad/s.
+    /// Gyroscope bias about x in the log of these tests, rad/s.
     const BIAS: f64 = 0.01;
 
     /// Returns a log of a level vehicle that faces east and turns right at 10°/s from 4 s to 13 s.

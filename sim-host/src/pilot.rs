@@ -95,7 +95,7 @@ pub struct Move {
     pub roll: Option<f64>,
     /// Pitch, −1 (back, nose up) to 1 (forward, nose down); `None`: by the base.
     pub pitch: Option<f64>,
-    /// Yaw, −1 (anticlockwise from above) to 1; `None`: by the base.
+    /// Yaw, −1 (anticlockwise from above) to 1; `None` if the base determines it.
     pub yaw: Option<f64>,
     /// Position of the mode switch. In rate mode, roll, pitch and yaw that are not named are centred, because the base
     /// gives angles, not rates.

@@ -57,7 +57,7 @@ fn hover_flies_with_ten_percent_of_imu_samples_lost() {
     assert!(outcome.position_error_max_m < 1.5 && outcome.attitude_rmse_deg < 2.0, "{outcome:?}");
     let n = arrivals.imu.len() as f64;
     let lost = arrivals.imu.iter().filter(|imu| imu.is_none()).count() as f64 / n;
-    // Five standard errors: 5 √(0.1 · 0.9/30,000) = 0.0087.
+    // The bound is five standard errors, 5 √(0.1 · 0.9/30,000) = 0.0087.
     assert!((lost - 0.1).abs() < 5.0 * (0.09 / n).sqrt(), "{lost}");
 }
 
@@ -315,7 +315,7 @@ fn failed_sensor_stops_the_motors_with_its_cause() {
         assert_eq!(outcome.final_state, ArmState::Terminated);
         after_arming(&arrivals)[0]
     };
-    // The code for "invalid" is not a sample: the effect is that of a dead sensor.
+    // The code for "invalid" is not a sample, so the effect is that of a dead sensor.
     let (time_s, state, cause) = fails("kind = \"invalid_code\"\nsensor = \"imu\"\n");
     assert_eq!((state, cause), (ArmState::Terminated, Cause::ImuLost));
     assert!((time_s - 15.1).abs() < 1.5e-3, "{time_s}");

@@ -24,7 +24,7 @@ pub struct Plant {
     pub lag_s: f64,
     /// Cutoff of the prefilter (a second-order Butterworth low-pass), Hz; `None` for no prefilter.
     pub prefilter_hz: Option<f64>,
-    /// Time from a sample to its command at the motor T, s.
+    /// Time T from a sample to its command at the motor, s.
     pub delay_s: f64,
 }
 

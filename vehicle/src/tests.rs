@@ -69,7 +69,7 @@ fn derived_figures_follow_from_the_file() {
     // Thrust from a thrust stand's figure: 1.9 kg at 11,000 rpm, which is 1,151.9 rad/s.
     let v = Vehicle::load("ten-inch").unwrap();
     assert!((v.params.thrust_coefficient / (1.9 * 9.80665 / 1151.917_f64.powi(2)) - 1.0).abs() < 1e-6);
-    // A box of 1.5 kg, 180 by 90 by 70 mm, and 0.9 kg 165 mm to the side.
+    // The moment of inertia of a box of 1.5 kg, 180 by 90 by 70 mm, and of 0.9 kg at a distance of 165 mm to the side.
     let x = 1.5 * (0.09_f64.powi(2) + 0.07_f64.powi(2)) / 12.0 + 0.9 * 0.165_f64.powi(2);
     assert!((v.params.inertia_kg_m2.x - x).abs() < 1e-9);
     assert!(v.derived.iter().any(|derived| derived.what == "moments of inertia" && derived.estimate));

@@ -282,7 +282,7 @@ fn assemble() -> Result<Bus, Error> {
             Field::Usart(_) => builder = builder.reset(name, "SR", 0xc0),
             // 28.5.9.
             Field::Spi(_) => builder = builder.reset(name, "I2SPR", 0x0002),
-            // 27.6.6: error flags are cleared by writing zero.
+            // RM0090, 27.6.6: error flags are cleared by writing zero.
             Field::I2c(_) => builder = builder.write_modify(name, "SR1", WriteModify::ZeroToClear),
             // 18.4.5: flags are cleared by writing zero; 18.4.12: the period is all ones.
             Field::Tim(n) => {

@@ -61,7 +61,7 @@ pub struct Timer<F: Family> {
     inner: Tim<F>,
     clock_hz: u64,
     quiet_events: u32,
-    /// Time and count at which the model was stopped, while it is stopped.
+    /// Time and count at which the model was stopped; `None` while it runs.
     asleep: Option<(VirtualNanos, u64)>,
     /// Whether the model ran since the last [`Self::take_touched`]: its outputs may have changed.
     touched: bool,

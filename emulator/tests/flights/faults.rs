@@ -326,7 +326,8 @@ fn undefined_instruction_stops_the_motors() {
 
 #[test]
 fn flipped_pointer_stops_the_motors() {
-    // The pointer to the queue of the receiver's bytes. Bit 27 makes the address unmapped, which gives a bus fault.
+    // The fault is in the pointer to the queue of the receiver's bytes. With bit 27 inverted, the address is unmapped,
+    // which causes a bus fault.
     let flown = fly_twice(&hover(""), &[(AT_S, Fault::FlippedPointer("::VAR", 27))]);
     watchdog_resets(&flown, 0.03);
 }

@@ -51,7 +51,7 @@ impl Protocol {
     /// Checks the parameters of the protocol.
     ///
     /// # Errors
-    /// Returns a PWM rate outside 50 to 400 Hz.
+    /// Returns an error for a PWM rate outside 50 to 400 Hz.
     pub fn validate(&self) -> Result<(), ConfigError> {
         match *self {
             Self::Pwm { rate_hz } => check("esc.protocol.rate_hz", rate_hz, 50.0, 400.0),

@@ -63,7 +63,8 @@ impl GyroZero {
             self.bias = self.mean_gyro;
             self.zeroed = true;
         } else {
-            // A steady rate this large is no rest, also after a zeroing: a turntable, or a gyroscope that is stuck.
+            // A steady rate this large is not rest, even after zeroing. It is a turntable, or a gyroscope that is
+            // stuck.
             self.still_s = 0.0;
         }
     }

@@ -55,7 +55,7 @@ pub enum Weight {
 }
 
 impl Weight {
-    /// α = 0.97 of the paper, taken as the value at 100 Hz: τ = 0.97 · 0.01 s / 0.03 = 0.3233 s.
+    /// The paper's α = 0.97, taken as the value at 100 Hz. Therefore τ = 0.97 · 0.01 s / 0.03 = 0.3233 s.
     pub const PAPER: Self = Self::TimeConstant { tau_s: 0.97 * 0.01 / 0.03 };
 
     fn setting(&mut self) -> Setting<'_> {
@@ -212,8 +212,8 @@ pub trait Filter {
 #[derive(Clone, Copy, Debug)]
 #[repr(u32)]
 pub enum Filters {
-    /// Complementary filter on a quaternion. First, because it is the usual filter in flight: a comparison with 0
-    /// needs no second instruction.
+    /// Complementary filter on a quaternion. It is the usual filter in flight. It is the first variant, so that its
+    /// discriminant is 0, because a comparison with 0 takes one instruction less than one with another number.
     Quaternion(QuaternionFilter),
     /// Complementary filter in Euler angles.
     Euler(EulerFilter),
@@ -302,8 +302,8 @@ impl Estimator {
     }
 
     /// Returns whether the input needs no prefilter, because the filter averages accelerometer and magnetometer over
-    /// seconds. A prefilter would only delay the attitude: 30 Hz by √2/(2π · 30 Hz) = 7.5 ms, which is 1.5° at
-    /// 200 °/s.
+    /// seconds. A prefilter would only delay the attitude. With a cutoff of 30 Hz the delay is
+    /// √2/(2π · 30 Hz) = 7.5 ms, which at 200 °/s is an error of 1.5°.
     #[inline(always)]
     pub fn is_low_pass(&self) -> bool {
         fn of<F: Filter>(_: &F) -> bool {

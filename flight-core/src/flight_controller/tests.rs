@@ -149,7 +149,7 @@ fn every_obstacle_to_arming_is_reported() {
     let obstacles: [(Cause, Change); 5] = [
         (Cause::BatteryLow, |harness| harness.battery_v = 10.4),
         (Cause::BenchLock, |harness| harness.health.usb = true),
-        // 30° to the right: sine and cosine of gravity.
+        // The vehicle is rolled 30° to the right, so y and z read the sine and the cosine of 30° times gravity.
         (Cause::NotLevel, |harness| harness.sample.accel = [0, -1024, -1774]),
         // 366 °/s.
         (Cause::NotStill, |harness| harness.sample.gyro = [6_000, 0, 0]),
@@ -235,7 +235,7 @@ fn step_needs_later_time_or_a_clock_set_back() {
     assert_eq!(at(&mut controller, 900_000, 2_000), 1_000);
     assert_eq!(at(&mut controller, 950_000, 2_000), 1_000);
     assert_eq!(at(&mut controller, 1_000_001, 2_000), 2_000);
-    // Earlier by more: time continues from the new value.
+    // The time stamp is earlier by more than that: time continues from the new value.
     let mut controller = started();
     assert_eq!(at(&mut controller, 899_999, 2_000), 1_000);
     assert_eq!(at(&mut controller, 900_000, 2_000), 2_000);

@@ -19,7 +19,7 @@ pub const BAUD: u32 = 921_600;
 /// Longest wait for the answer to a frame. A USB converter alone may delay a byte by 16 ms; QEMU on a busy
 /// machine may take much longer.
 const FRAME_WAIT: Duration = Duration::from_secs(2);
-/// Frames in a row without an answer that end the flight.
+/// Number of frames in a row without an answer after which the flight ends.
 const MAX_UNANSWERED: u32 = 10;
 
 /// A serial port with a board.

@@ -14,7 +14,7 @@ use input::check::in_range;
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct SceneFile {
-    /// The scene that this one changes. It is merged before this is parsed.
+    /// The scene that this one changes. The two are merged before this text is parsed.
     #[serde(default, rename = "include")]
     _include: Option<String>,
     pub scene: SceneTable,
@@ -43,7 +43,7 @@ pub(super) struct SceneTable {
     /// The vehicle, loaded before this is parsed.
     #[serde(rename = "vehicle")]
     _vehicle: String,
-    /// The IMU preset, loaded before this is parsed: its values complete the effects.
+    /// The IMU preset. It is loaded before this text is parsed, and its values complete the effects.
     #[serde(rename = "imu")]
     _imu: String,
     #[serde(default)]

@@ -229,7 +229,7 @@ fn effects_do_not_change_each_others_draws() {
     let mut names = Scene::parse("every", EVERY_EFFECT).unwrap().effects();
     names.retain(|name| groups.iter().any(|group| name.starts_with(group)));
     let every = contributions(&with_effects(&names));
-    // Wind needs a drag, which draws no random numbers.
+    // Wind needs an effect of drag. This drag draws no random numbers.
     let alone = |name| contributions(&with_effects(&[name, "vehicle.quadratic_drag"]));
     for (i, first) in every.iter().enumerate() {
         assert_eq!(alone(first.0), std::slice::from_ref(first), "alone and with all the others");

@@ -123,7 +123,7 @@ impl Filter {
             Self::Ours(estimator) => estimator.update(s.gyro, s.accel, s.mag, s.dt_s),
             Self::Theirs { filter, started } => {
                 if !*started {
-                    // They start at the attitude that the first sample shows, as Kestrel's filters do.
+                    // The filters start at the attitude that the first sample shows, as Kestrel's do.
                     *started = true;
                     if let Ok(mut first) = Estimator::new(&EstimatorParams::FLIGHT) {
                         first.update(s.gyro, s.accel, s.mag, 0.0);

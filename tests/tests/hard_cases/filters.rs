@@ -78,7 +78,8 @@ fn cutoff_of_0_01_hz_is_refused_and_the_lowest_keeps_gain() {
 
 #[test]
 fn cutoff_near_nyquist_is_refused_and_the_highest_filters() {
-    // Its double pole nearly cancels its double zero at half the rate; the rest of a step alternates for a long time.
+    // The filter's double pole nearly cancels its double zero at half the sample rate. What remains of the response to
+    // a step alternates for a long time.
     let just_below = f32::from_bits(500.0_f32.to_bits() - 1);
     for cutoff_hz in [just_below, 499.999, 499.9, 500.0, f32::NAN] {
         let error = Biquad::butterworth(cutoff_hz, 1_000.0).unwrap_err();

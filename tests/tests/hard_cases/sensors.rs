@@ -169,7 +169,7 @@ fn gap_of_a_second_keeps_an_accurate_estimate() {
         for _ in 0..5_000 {
             body.turn(vec3(0.0, 0.0, 0.5), 1e-3);
         }
-        // The gap is a single step of 1 s, which the filters still integrate as a turn.
+        // The pause is a single step of 1 s, which the filters still integrate as a turn.
         body.turn(vec3(0.1, 0.2, 0.5), 1.0);
         assert!(body.error_deg().is_finite());
         assert!(!is_accurate(name) || body.error_deg() < 0.1, "{name}: {}°", body.error_deg());

@@ -107,7 +107,8 @@ fn allan_of_eq_15_by_hand() {
         allan.add(y);
     }
     assert!((allan.deviation() - libm::sqrt(49.0 / 6.0)).abs() < 1e-12);
-    // Overlapping, of the first six: the means are 1, 2.5, 4, 3, 2, the differences 4 − 1, 3 − 2.5, 2 − 4.
+    // The overlapping variance of the first six samples: the means are 1, 2.5, 4, 3, 2, and their differences are
+    // 4 − 1, 3 − 2.5 and 2 − 4.
     let mut overlapping = OverlappingAllan::new(2);
     for y in [0.0, 2.0, 3.0, 5.0, 1.0, 3.0] {
         overlapping.add(y);

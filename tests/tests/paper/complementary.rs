@@ -1,8 +1,8 @@
 //! Eq 18's gains for noise and bias: random numbers of the simulator through the estimators of the flight code, without
 //! the prefilter.
 //!
-//! With o\[k\] = α (o\[k−1\] + ω Δt) + (1 − α) b\[k\] and independent errors in each sample, o is a first-order
-//! autoregression, whose closed forms are:
+//! With o\[k\] = α (o\[k−1\] + ω Δt) + (1 − α) b\[k\] and independent errors in each sample, the output o is a
+//! first-order autoregression, whose closed forms are:
 //!
 //! | error | of o | at α = 0.97 |
 //! |---|---|---|

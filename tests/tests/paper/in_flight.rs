@@ -270,11 +270,12 @@ impl Observer for ParallelEstimators {
     }
 }
 
-/// Eq 18's error in the doublets of `steps`, whichever estimator controls the flight: e' = (φ − φ_shown − e)/τ. It does
-/// not depend on the gyroscope.
+/// Compares eq 18's error e in the doublets of the scene `steps` with its differential equation
+/// e' = (φ − φ_shown − e)/τ. φ is the true tilt, and φ_shown is the tilt that the accelerometer shows (φ_f in
+/// docs/paper.md). The equation holds whichever estimator controls the flight, and does not depend on the gyroscope.
 ///
-/// For a sudden tilt of 30°, φ − φ_shown = 30° e^(−t/T) with T = m/A, and after 0.7 s
-/// e = 30° T/(T − τ) (e^(−t/T) − e^(−t/τ)) = 22.2° with `paper` and 1.8° with `flight`.
+/// For a sudden tilt of 30°, φ − φ_shown = 30° e^(−t/T) with T = m/A = 2.6 s. So after t = 0.7 s
+/// e = 30° T/(T − τ) (e^(−t/T) − e^(−t/τ)), which is 22.2° with the estimator `paper` and 1.8° with `flight`.
 #[test]
 fn doublets_of_steps_mislead_paper_by_22_deg_flight_by_2() {
     let scene = altered("steps", &[]);

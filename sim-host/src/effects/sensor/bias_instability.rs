@@ -142,7 +142,8 @@ impl SensorEffect for Flicker {
             && let Some(x) = self.slow.get_mut((zeros / 2) as usize)
         {
             let moved = *x * self.slow_decay + self.streams.draw() * self.slow_gain;
-            // Each update adds a rounding error of 10⁻¹⁶ B to the sum: 10⁻¹² B after 10⁸ updates, as a random walk.
+            // Each update adds a rounding error of 10⁻¹⁶ B to the sum. The errors are a random walk, which reaches
+            // 10⁻¹² B after 10⁸ updates.
             self.slow_sum += moved - *x;
             *x = moved;
         }

@@ -323,7 +323,7 @@ mod tests {
             }
             for (sum, n) in <[f64; 3]>::from(squares).into_iter().zip([0.1, 0.2, 0.3]) {
                 let (got, want) = ((sum / 20_000.0).sqrt() / DEG, n * part * 20.0);
-                // Five standard errors of a deviation from 20,000 draws: 5/√40,000.
+                // The bound is five standard errors of a deviation from 20,000 draws, which are 5/√40,000.
                 assert!((got - want).abs() <= 0.025 * want, "{got} {want}");
             }
         }

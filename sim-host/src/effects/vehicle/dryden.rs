@@ -111,7 +111,7 @@ struct FirstOrder(f64);
 struct Step {
     epsilon: f64,
     decay: f64,
-    /// √(1 − decay²): the noise of the first order.
+    /// Factor of the noise of the first order, √(1 − decay²).
     first: f64,
     /// The Cholesky factor of the noise of p and q.
     p: f64,

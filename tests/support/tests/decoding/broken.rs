@@ -135,7 +135,8 @@ fn spliced_frames_are_caught_by_the_crsf_checksum() {
             "{protocol:?}: {wrong} wrong frames of {spliced} spliced ones, {last_lost} of the last lost"
         );
         match protocol {
-            // Header, flags and footer are the same: SBUS cannot detect it. The port can: a lost byte is an overrun.
+            // Header, flags and footer are unchanged, so SBUS cannot detect the loss. The port can, because a lost byte
+            // is an overrun.
             Protocol::Sbus => assert!(wrong > 0),
             // One of 256 has a matching checksum. The frame behind the splice is lost if the bytes before it look like
             // the start of a longer frame, for which the decoder still waits when the pause comes.
