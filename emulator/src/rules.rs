@@ -80,9 +80,9 @@ impl Rules {
 
     /// Checks the DMA streams after an access to a register of a DMA controller; `written` says whether it was a write.
     ///
-    /// Three rules: when a stream is enabled, it has no flag of an earlier transfer (RM0090, 10.3.17, "before setting EN").
-    /// Its count and addresses are not written while it is enabled (10.5.6 to 10.5.8). The IMU's streams have the
-    /// highest priority of their controller.
+    /// Checks three rules. A stream has no flag of an earlier transfer when it is enabled (RM0090, 10.3.17, "before
+    /// setting EN"). Its count and addresses are not written while it is enabled (10.5.6 to 10.5.8). The IMU's streams
+    /// have the highest priority of their controller.
     pub fn on_dma_access(&mut self, machine: &Machine, address: u64, written: bool, now_s: f64) {
         use dma2::Register::{Hisr, Lisr, S0cr, S1cr, S2cr, S3cr, S4cr, S5cr, S6cr, S7cr};
         const CONTROLS: [dma2::Register; 8] = [S0cr, S1cr, S2cr, S3cr, S4cr, S5cr, S6cr, S7cr];

@@ -227,7 +227,7 @@ mod tests {
         };
         assert!(error(with(0, 0)).contains("number of channels"));
         assert!(error(with(3, 0xffff_fff8)).contains("ring address"));
-        // No memory at the address, or too little after it.
+        // There is no memory at the address, or too little after it.
         let mut block_at_the_end = ram(16, 7, 3);
         for address in [0, RAM + 0x1f0, u32::MAX - 8] {
             assert!(matches!(drain(&mut block_at_the_end, address), Err(RttError::Memory { .. })));

@@ -83,7 +83,7 @@ impl DescentParams {
 
 /// ±2,000 °/s over 16 bits: 16.4 LSB/(°/s) (ICM-42688-P datasheet DS-000347, table 1).
 const ICM_42688_GYRO_RAD_S: f32 = (core::f64::consts::PI / 180.0 / 16.4) as f32;
-/// ±16 g over 16 bits: 2,048 LSB/g (ICM-42688-P datasheet DS-000347, table 2).
+/// The range of ±16 g has 16 bits, so the sensitivity is 2,048 LSB/g (ICM-42688-P datasheet DS-000347, table 2).
 const ICM_42688_ACCEL_M_S2: f32 = STANDARD_GRAVITY / 2048.0;
 /// ±8 G over 16 bits: 3,000 LSB/G (QMC5883L datasheet, table 2); 1 G is 100 µT.
 const QMC5883L_MAG_UT: f32 = 100.0 / 3000.0;

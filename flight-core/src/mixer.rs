@@ -199,7 +199,8 @@ impl Mixer {
         }
     }
 
-    /// Returns the speeds of squared speeds, rad/s. A negative square, which rounding can give, and NaN give zero.
+    /// Returns the square roots of squared speeds, rad/s. A negative square, which rounding can give, and NaN give
+    /// zero.
     #[inline]
     pub fn speeds(squares: [f32; 4]) -> [f32; 4] {
         squares.map(|s| sqrt(max(s, 0.0)))

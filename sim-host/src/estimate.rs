@@ -1,9 +1,9 @@
 //! The command `estimate`: runs the flight code's estimators over a log and compares them with its reference attitude.
 //!
-//! The estimators get the same input as in flight: f32, time in whole microseconds, the magnetometer only in rows with a
-//! new sample. The prefilter is off unless the request has a cutoff. The first sample sets the attitude, and the declination
-//! is 0. For `flight` the gyroscope is zeroed, as before arming: from the start of the log to the first motion. The other
-//! estimators use the gyroscope uncorrected, as the paper does.
+//! The estimators get the same input as in flight: f32, time in whole microseconds, the magnetometer only in rows with
+//! a new sample. The prefilter is off unless the request has a cutoff. The first sample sets the attitude, and the
+//! declination is 0. For the estimator `flight` the gyroscope is zeroed, as before arming: from the start of the log to
+//! the first motion. The other estimators use the gyroscope uncorrected, as the paper does.
 //!
 //! The errors are computed in f64 ([`AttitudeError`]) over the moving rows that have a reference.
 
@@ -361,7 +361,7 @@ mod tests {
                     time_s,
                     gyro_rad_s: [BIAS, 0.0, rate],
                     accel_m_s2: [0.0, 0.0, -9.806_65],
-                    // In every fifth row: magnetometers are slower.
+                    // The magnetometer has a value in every fifth row only, because magnetometers are slower.
                     mag_ut: (k % 5 == 0).then(|| [north * libm::cos(yaw), -north * libm::sin(yaw), down]),
                     reference: Some([libm::cos(0.5 * yaw), 0.0, 0.0, libm::sin(0.5 * yaw)]),
                     moving: time_s >= 4.0,

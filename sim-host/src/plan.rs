@@ -159,7 +159,7 @@ fn vehicle(effect: VehicleEffect) -> f64 {
             }
             black_box((wanted, at.time_s));
         }),
-        // Twice a step: in the middle and at the end.
+        // This effect is applied twice in a step, in the middle and at the end.
         VehicleEffect::Lag(lag) => {
             2.0 * cost(|_, with| {
                 let mut rotors = black_box(ROTORS);

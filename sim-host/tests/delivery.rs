@@ -319,7 +319,8 @@ fn failed_sensor_stops_the_motors_with_its_cause() {
     let (time_s, state, cause) = fails("kind = \"invalid_code\"\nsensor = \"imu\"\n");
     assert_eq!((state, cause), (ArmState::Terminated, Cause::ImuLost));
     assert!((time_s - 15.1).abs() < 1.5e-3, "{time_s}");
-    // Each axis alone. The limit is 0.1 s and up to two samples more, because each sensor is checked at every other sample.
+    // Each axis is stuck alone. The limit is 0.1 s and up to two samples more, because each sensor is checked at every
+    // other sample.
     for sensor in ["gyro", "accel"] {
         for axis in ["x", "y", "z"] {
             let fault = format!("kind = \"stuck_axis\"\nsensor = \"{sensor}\"\naxis = \"{axis}\"\n");

@@ -31,7 +31,7 @@ fn configuration_survives_encoding_and_decoding() {
     for config in [calibrated(), Config { calibration: None, ..calibrated() }] {
         let mut bytes = record(&config);
         assert_eq!(decode(&bytes), Ok(config));
-        // Followed by erased flash, or by other data.
+        // The record is followed by erased flash, or by other data.
         bytes.resize(16 * 1024, ERASED);
         assert_eq!(decode(&bytes), Ok(config));
         bytes[MAX_RECORD..].fill(0x5a);

@@ -42,7 +42,7 @@ impl Counter {
 
 /// All counters.
 pub struct Counters {
-    /// Steps without an IMU sample, because none could be read.
+    /// Number of steps without an IMU sample because none could be read.
     pub lost: Counter,
     /// Number of bursts that were started without an edge of the data-ready line.
     pub polled: Counter,

@@ -27,7 +27,8 @@ fn exclusive() -> MutexGuard<'static, ()> {
     guard
 }
 
-/// Whether a burst must be started. None of these tests leaves `flight` unserved.
+/// Returns whether a burst must be started. In these tests the task `control_loop` runs after every wake-up, so the
+/// motors need not be stopped.
 fn starts(next: Action) -> bool {
     assert_ne!(next, Action::StopMotors, "the motors are stopped");
     next == Action::StartBurst
@@ -71,7 +72,8 @@ impl BurstBus for Dma {
     }
 }
 
-/// Enters the handler of `flight` as the interrupt controller does: if it is pended, and as long as the level is up.
+/// Enters the handler of the task `control_loop` as the interrupt controller does: if it is pended, and again as long
+/// as the interrupt's level is up.
 fn enter(dma: &Dma, sampler: &mut Sampler<Dma>, mut pended: bool, now_us: u32) -> (u32, Vec<Sample>) {
     let (mut entries, mut samples) = (0, vec![]);
     while pended || dma.is_up() {
@@ -170,7 +172,7 @@ fn burst_started_during_the_handler_is_not_aborted() {
     let dma = Dma::default();
     let mut sampler = Sampler::new(dma.clone());
     assert!(starts(sampling::poll(0)) && !starts(sampling::poll(500)));
-    // The time was read before the burst began: the age is −1 µs, not 71 minutes.
+    // The time was read before the burst began, so the age is −1 µs, not 71 minutes.
     dma.running.set(true);
     sampler.next_sample(u32::MAX);
     assert!(dma.running.get());

@@ -65,8 +65,8 @@ fn hundred_seeds_with_five_inch_do_not_crash() {
     }
 }
 
-/// The descent throttle must be the vehicle's own: with another vehicle's, one with a thrust to weight of 5 would
-/// climb.
+/// The descent throttle must be the vehicle's own. With that of another vehicle, a vehicle with a thrust-to-weight
+/// ratio of 5 would climb.
 #[test]
 fn link_loss_lands_every_vehicle() {
     for (vehicle, _) in vehicle::BUILT_IN {

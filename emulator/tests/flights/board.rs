@@ -205,7 +205,7 @@ fn files_that_are_not_flight_images_are_refused() {
     for length in [10, 40, 60, 1_000, 40_000] {
         refusal(elf[..length].to_vec());
     }
-    // The image's name, changed to that of a bench image.
+    // Change the image's name to that of a bench image.
     let name = b"speedybee-f405-v4\0";
     let at = elf.windows(name.len()).position(|window| window == name).unwrap();
     let mut bench = elf.to_vec();

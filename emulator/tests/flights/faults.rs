@@ -180,7 +180,7 @@ fn flight_survives_20_ms_of_failed_bursts() {
         assert!(flown.gaps.iter().all(|gap| gap.contains("at 0x6")), "stream {stream}: {:?}", flown.gaps);
         let lost =
             flown.records.iter().filter(|record| record.imu.is_none() && record.time_us > 6_000_000).count();
-        // The fault and the sensor's set-up after it, which takes 57 ms.
+        // Samples are lost during the fault and during the sensor's set-up after it, which takes 57 ms.
         assert!((20..=90).contains(&lost), "stream {stream}: {lost} lost: {story}");
         // An error is handled at once, and not only at the next sample.
         assert_eq!(counted(&flown, "late"), 0, "stream {stream}: {story}");

@@ -286,7 +286,7 @@ fn estimators<I: Iterator<Item = Reading>>(
     fn six(estimator: &mut Estimator, r: &Reading) {
         estimator.update(r.gyro, r.accel, None, DT_S);
     }
-    /// The same for one kind of filter only: its address gives the code size. It is not run.
+    /// The same function for one kind of filter only. It is not run: its address gives the code size.
     #[inline(never)]
     fn nine_only<F: Filter>(filter: &mut F, r: &Reading) {
         filter.update(r.gyro, r.accel, Some(r.mag), DT_S);

@@ -366,7 +366,7 @@ fn send(pulses_us: [f32; 4]) {
 /// Sends the stop command to the motor pads after a fault, in any state of the outputs. `esc/end.rs` gives the time
 /// that this takes.
 pub fn stop_after_fault() {
-    // SAFETY: enables the clocks of ports that no other code uses any more.
+    // SAFETY: this enables the clocks of ports that no other code uses any more.
     unsafe { wiring::enable_motor_ports() };
     // SAFETY: the register is only read.
     let on_pll = unsafe { &*pac::RCC::ptr() }.cfgr().read().sws().is_pll();

@@ -12,8 +12,9 @@
 //! | [`EstimatorParams::FLIGHT`] | quaternion | τ = 10 s | flight |
 //! | [`EstimatorParams::ROBUST`] | quaternion | see [`RobustFilter`] | flight with a drifting gyroscope, recordings |
 //!
-//! `paper` is not suitable for flight: in free flight the accelerometer shows tilt only through drag (without drag it
-//! always reads level), so the estimate of a held tilt φ decays at the rate φ/τ. `docs/paper.md` shows this.
+//! The estimator `paper` is not suitable for flight: in free flight the accelerometer shows tilt only through drag
+//! (without drag it always reads level), so the estimate of a held tilt φ decays at the rate φ/τ. `docs/paper.md` shows
+//! this.
 
 mod at_rest;
 mod euler;
@@ -208,7 +209,8 @@ pub trait Filter {
 }
 
 /// A filter of any method.
-// An explicit discriminant: stored in a niche of a field it would take four instructions to read each time.
+// `repr(u32)` gives the enum an explicit discriminant. Without it the compiler stores the discriminant in unused values
+// of a field, and each read of it takes four instructions.
 #[derive(Clone, Copy, Debug)]
 #[repr(u32)]
 pub enum Filters {

@@ -477,7 +477,9 @@ mod robust {
     #[test]
     #[cfg_attr(miri, ignore = "minutes of rest")]
     fn start_in_a_gust_does_not_change_the_field() {
-        // The first sample contains 2 m/s² of wind: 11.5° of tilt, which moves 8 µT between horizontal and vertical.
+        // The first sample contains 2 m/s² of wind. It shows 11.5° of tilt, which moves 8 µT of the field between
+        // horizontal
+        // and vertical.
         let mut e = robust();
         e.update(Vec3::ZERO, LEVEL + vec3(0.0, 2.0, 0.0), Some(FIELD), 0.0);
         assert!(tilt(&e) > 11.0 * DEGREE);

@@ -89,7 +89,7 @@ struct Quantity {
     unit: &'static str,
     /// Suffixes of the names of its axes or rotors.
     axes: &'static [&'static str],
-    /// Largest absolute bound, for a quantity without a value in the scene; `None`: half of the scene's value.
+    /// Largest absolute bound, for a quantity without a value in the scene; `None` if it is half of the scene's value.
     largest: Option<f64>,
     /// Returns the scene's values, one for each axis; zeros for a quantity that is added to an error.
     values: fn(&Scene) -> Vec<f64>,

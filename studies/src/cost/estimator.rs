@@ -2,8 +2,8 @@
 //!
 //! Every estimator gets the same samples: those of a recording, or those of the sensors in a simulated flight,
 //! calibrated. As in flight, samples pass the scene's prefilter, except for estimators that are low-passes themselves.
-//! As in [`sim_host::estimate`], `flight` gets a gyroscope zeroed at rest, as before arming; the others get it as it
-//! is.
+//! As in [`sim_host::estimate`], the estimator `flight` gets a gyroscope zeroed at rest, as before arming; the others
+//! get it as it is.
 
 use std::hint::black_box;
 use std::path::Path;

@@ -1,5 +1,5 @@
-//! Table 2: its random walks are put into a simulated sensor, simulated for an hour, and read back, for both readings
-//! of their unit.
+//! Table 2: a sensor with the table's random walks is simulated for an hour, and its Allan deviation gives them back.
+//! This is done for both readings of their unit.
 
 use super::bench::{self, GRAVITY_UP};
 use super::{Exhibit, tabulated};

@@ -159,7 +159,7 @@ impl Observer for Bench {
     }
 }
 
-/// Eqs 15 and 16 together, through the converter: `static` at 1 kHz has table 2's Allan deviation at 1 s, and
+/// Eqs 15 and 16 together, through the converter: the scene `static` at 1 kHz has table 2's Allan deviation at 1 s, and
 /// the standard deviation that follows from it.
 #[test]
 fn static_reads_back_table_2() {

@@ -26,10 +26,11 @@ struct Case {
     alpha: f64,
 }
 
-/// τ of `paper`: 32.33 steps at 100 Hz.
+/// Time constant τ of the estimator `paper`: 32.33 steps at 100 Hz.
 const TAU_S: f64 = 0.97 / 0.03 * 0.01;
 
-/// At 100 Hz `paper` and `paper-literal` are the same filter. At 1 kHz the first keeps its τ, the second its α.
+/// At 100 Hz the estimators `paper` and `paper-literal` are the same filter. At 1 kHz the first keeps its τ, the second
+/// its α.
 const CASES: [Case; 4] = [
     Case { params: EstimatorParams::PAPER, rate_hz: 100.0, alpha: 0.97 },
     Case { params: EstimatorParams::PAPER_LITERAL, rate_hz: 100.0, alpha: 0.97 },

@@ -126,9 +126,9 @@ const SPIN_SIGNS: f64x4 = f64x4::new([-1.0, 1.0, -1.0, 1.0]);
 /// loops over them.
 struct Vibration {
     tone: Vec3<f64>,
-    /// r_h of the highest harmonic.
+    /// Amplitude r_h of the highest harmonic.
     highest: f64x4,
-    /// r_h of the other harmonics, from the first up.
+    /// Amplitudes r_h of the other harmonics, beginning with the first.
     lower: Box<[f64]>,
     deviation: Vec3<f64>,
     streams: NormalStreams,

@@ -292,8 +292,8 @@ mod tests {
         record
     }
 
-    /// The autocorrelation is e^(−x) along and (1 − x/2) e^(−x) across and down, x = t/τ: the transforms of the
-    /// spectra. The variance is its value at 0.
+    /// The autocorrelation is e^(−x) along and (1 − x/2) e^(−x) across and down, with x = t/τ. These are the
+    /// transforms of the spectra. The variance is the value at 0.
     #[test]
     fn gust_variance_and_correlation_match_the_spectra() {
         let params = Dryden { airspeed_m_s: 20.0, wind_20ft_m_s: Some(8.0), towards_deg: 0.0 };

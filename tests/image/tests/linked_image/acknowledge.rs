@@ -52,7 +52,7 @@ pub enum Kind {
     WriteZeros(u32),
 }
 
-/// A flag that was read as zero: the interrupt was not asserted.
+/// A flag that was read as zero, which means that the interrupt was not asserted.
 #[derive(Clone, Copy)]
 pub struct NotAsserted {
     pub address: u32,

@@ -1,4 +1,4 @@
-//! The decoders with broken frames, and with valid frames behind them.
+//! Feeds the decoders with broken frames, each followed by valid frames.
 
 use receiver::{Protocol, RECOVERY_FRAMES, Receiver};
 
