@@ -149,8 +149,7 @@ fn bounds_equal_those_of_stable32() {
             let found = deviation(&phase, statistic, m);
             assert_eq!(found.1, terms, "{statistic:?} {m}");
             // The power law is identified if there are at least 30 averages; otherwise it is taken as white noise.
-            // Stable32 found
-            // white noise at all m.
+            // Stable32 found white noise at all m.
             let alpha = noise::exponent(&phase, m, statistic).unwrap_or(0);
             assert_eq!(alpha, 0, "{statistic:?} {m}");
             let edf = Estimate { statistic, alpha, m, sums: 1001 }.edf();

@@ -51,7 +51,7 @@ pub enum Fault {
     ReadUnmapped(&'static str),
     /// The first instruction of a function is restored after [`Fault::Hang`] or [`Fault::Undefined`].
     Restored(&'static str),
-    /// Bit `1` of all words in RAM that point to the symbol `0` is flipped.
+    /// In all words in RAM that point to the named symbol, the bit with this number is flipped.
     FlippedPointer(&'static str, u8),
 }
 

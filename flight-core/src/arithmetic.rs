@@ -174,9 +174,8 @@ mod tests {
             prop_assert!(any.is_finite() || (s.is_nan() && c.is_nan()), "{}: {} {}", any, s, c);
         }
 
-        /// Compares the angle of any two numbers with that of the standard library in f64. A negative zero counts as
-        /// zero
-    /// here.
+        /// Compares the angle of any two numbers with that of the standard library in f64. A negative zero counts
+        /// as zero here.
         #[test]
         fn atan2_of_any_two_numbers_is_accurate(y in ANY, x in ANY) {
             let ours = [atan2(y, x), direction(y, x), elevation(y, x.abs())].map(f64::from);

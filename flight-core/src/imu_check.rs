@@ -7,8 +7,8 @@ use crate::sample::ImuSample;
 /// the data registers). A single axis with this value is at the end of its range.
 const INVALID: i16 = i16::MIN;
 
-/// Largest count of the range, and below it the smallest. The counts of the ICM-42688-P end at −32,766, because the
-/// two values below mark invalid data (the same section); the counts of a simulated converter end at −32,768.
+/// Largest count of the range; [`LOWEST`] is the smallest. The counts of the ICM-42688-P end at −32,766, because the
+/// two smaller values mark invalid data (the same section); the counts of a simulated converter end at −32,768.
 const HIGHEST: i16 = i16::MAX;
 const LOWEST: i16 = -32_766;
 

@@ -46,19 +46,19 @@ impl Spin {
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct Airframe {
-    /// b, N·s²: the thrust of a rotor is b Ω². 10⁻⁹ to 1.
+    /// Thrust coefficient b, N·s²: 10⁻⁹ to 1. The thrust of a rotor is b Ω².
     pub thrust_coefficient: f32,
-    /// d, N·m·s²: the reaction torque of a rotor is d Ω². 10⁻¹¹ to 1.
+    /// Torque coefficient d, N·m·s²: 10⁻¹¹ to 1. The reaction torque of a rotor is d Ω².
     pub torque_coefficient: f32,
-    /// f, m: distance of the front rotors forward of the centre of gravity, and of the rear rotors behind it. 0.005
+    /// Distance f of the front rotors forward of the centre of gravity, and of the rear rotors behind it, m: 0.005
     /// to 10.
     pub forward_m: f32,
-    /// r, m: distance of the right rotors to the right of the centre of gravity, and of the left rotors to the left.
+    /// Distance r of the right rotors to the right of the centre of gravity, and of the left rotors to its left, m:
     /// 0.005 to 10.
     pub right_m: f32,
     /// Direction of rotation.
     pub spin: Spin,
-    /// I_xx, I_yy, I_zz, kg·m²: 10⁻⁹ to 10⁶.
+    /// Moments of inertia I_xx, I_yy, I_zz, kg·m²: 10⁻⁹ to 10⁶.
     pub inertia_kg_m2: Vec3<f32>,
     /// Idle speed, the slowest speed of an armed rotor, rad/s: 0 to half of `max_rad_s`.
     pub idle_rad_s: f32,

@@ -287,8 +287,8 @@ mod tests {
             let [a1, a2] = c.a.map(f64::from);
             let b0 = f64::from(c.b0);
             let squared = at_circle(b0, 2.0 * b0, b0) / at_circle(1.0, a1, a2);
-            // The error from rounding the coefficients: 1 % at the ends of the range, as `MAX_RATE_PER_CUTOFF`
-            // documents, doubled by the square.
+            // Rounding of the coefficients causes an error of 1 % at the ends of the range, as
+            // `MAX_RATE_PER_CUTOFF` documents. The square doubles it.
             prop_assert!((squared - 1.0 / (1.0 + wanted)).abs() < 0.025, "{}", squared);
             // A pole outside the unit circle would be a growing oscillation.
             prop_assert!(a2.abs() < 1.0 && a1.abs() < 1.0 + a2);

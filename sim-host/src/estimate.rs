@@ -33,7 +33,7 @@ pub struct Request {
     pub axes: Axes,
     /// Names of presets ([`EstimatorParams::PRESETS`]); empty means all of them.
     pub estimators: Vec<String>,
-    /// Cutoff of the Butterworth prefilter on every axis of every sensor, Hz; `None`: no prefilter.
+    /// Cutoff of the Butterworth prefilter on every axis of every sensor, Hz; `None` for no prefilter.
     pub prefilter_hz: Option<f64>,
     /// File for the estimated attitude and its error of each row.
     pub out: Option<PathBuf>,
@@ -47,7 +47,7 @@ pub struct Report {
     /// Rows of the log.
     #[serde(skip)]
     pub rows: usize,
-    /// Rows that count in the errors: moving, with a reference.
+    /// Number of rows that count in the errors: those with motion and with a reference.
     #[serde(skip)]
     pub scored_rows: u64,
 }

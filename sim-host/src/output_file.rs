@@ -68,8 +68,7 @@ impl OutputFile {
             match sink.into_inner().map_err(io::IntoInnerError::into_error)? {
                 Sink::Temporary(file) => {
                     // Write the content to disk before the file gets its name. Otherwise the path could name an empty
-                    // file after a
-                    // power cut.
+                    // file after a power cut.
                     file.as_file().sync_all()?;
                     file.persist(resolve_links(&path)?).map_err(|error| error.error)?;
                     Ok(())

@@ -89,11 +89,11 @@ pub struct Move {
     pub at_s: f64,
     /// Duration, s.
     pub for_s: f64,
-    /// Throttle, 0 to 1; `None`: by the base.
+    /// Throttle, 0 to 1; `None` if the base determines it.
     pub throttle: Option<f64>,
-    /// Roll, −1 (left) to 1 (right); `None`: by the base.
+    /// Roll, −1 (left) to 1 (right); `None` if the base determines it.
     pub roll: Option<f64>,
-    /// Pitch, −1 (back, nose up) to 1 (forward, nose down); `None`: by the base.
+    /// Pitch, −1 (back, nose up) to 1 (forward, nose down); `None` if the base determines it.
     pub pitch: Option<f64>,
     /// Yaw, −1 (anticlockwise from above) to 1; `None` if the base determines it.
     pub yaw: Option<f64>,

@@ -278,13 +278,13 @@ fn assemble() -> Result<Bus, Error> {
             builder = builder.clocked_by(name, clock);
         }
         match field_of(name) {
-            // 30.6.1: TXE and TC are set.
+            // RM0090, 30.6.1: TXE and TC are set.
             Field::Usart(_) => builder = builder.reset(name, "SR", 0xc0),
-            // 28.5.9.
+            // RM0090, 28.5.9.
             Field::Spi(_) => builder = builder.reset(name, "I2SPR", 0x0002),
             // RM0090, 27.6.6: error flags are cleared by writing zero.
             Field::I2c(_) => builder = builder.write_modify(name, "SR1", WriteModify::ZeroToClear),
-            // 18.4.5: flags are cleared by writing zero; 18.4.12: the period is all ones.
+            // RM0090, 18.4.5: flags are cleared by writing zero. RM0090, 18.4.12: the period is all ones.
             Field::Tim(n) => {
                 builder = builder.write_modify(name, "SR", WriteModify::ZeroToClear).reset(
                     name,
@@ -297,7 +297,7 @@ fn assemble() -> Result<Bus, Error> {
                     builder.write_modify(name, "SR", WriteModify::ZeroToClear).reset(name, "ARR", 0xffff);
             }
             Field::Gpio(n) => {
-                // 8.4.1, 8.4.3, 8.4.4: ports A and B start with the debug port's pins.
+                // RM0090, 8.4.1, 8.4.3 and 8.4.4: ports A and B start with the debug port's pins.
                 let [mode, speed, pull] = match n {
                     0 => [0xa800_0000, 0x0c00_0000, 0x6400_0000],
                     1 => [0x0280, 0x00c0, 0x0100],
@@ -308,9 +308,9 @@ fn assemble() -> Result<Bus, Error> {
                     .reset(name, "OSPEEDR", speed)
                     .reset(name, "PUPDR", pull);
             }
-            // 12.3.6: writing a one clears a bit.
+            // RM0090, 12.3.6: writing a one clears a bit.
             Field::Exti => builder = builder.write_modify(name, "PR", WriteModify::OneToClear),
-            // 3.9.5, 3.9.7, 3.9.9. The model is that of the F427, with four bits of latency and RDERR.
+            // RM0090, 3.9.5, 3.9.7 and 3.9.9. The model is that of the F427, with four bits of latency and RDERR.
             Field::Flash => {
                 builder = builder
                     .field(name, "ACR", "LATENCY", flash::LATENCY)
@@ -324,7 +324,7 @@ fn assemble() -> Result<Bus, Error> {
             _ => {}
         }
     }
-    // 5.4.1: the backup domain is write-protected until DBP is set.
+    // RM0090, 5.4.1: the backup domain is write-protected until DBP is set.
     builder = builder.gate_writes("RCC", &["BDCR"], Gate::by("PWR", "CR", "DBP"));
     builder = builder.gate_writes("RTC", &[], Gate::by("PWR", "CR", "DBP"));
     // Instances that receive requests: see each model.
@@ -596,7 +596,7 @@ impl Mcu for Stm32f405 {
         let registers = self.bus.slot_mut(self.slots.rcc).registers_mut();
         registers.set(rcc_registers::Register::Bdcr, backup_clock);
         if cause == ResetCause::PowerOn {
-            // 7.3.21: the flags of power-on, brown-out and pin reset.
+            // RM0090, 7.3.21: the flags of power-on, brown-out and pin reset are set.
             registers.set(rcc_registers::Register::Csr, 0x0e00_0000);
         } else {
             self.rcc.restarted(cause, flags, registers);

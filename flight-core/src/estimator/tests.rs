@@ -277,7 +277,7 @@ fn paper_equals_a_filter_in_f64_over_random_motion() {
     let rms = (sum / (3.0 * f64::from(steps))).sqrt();
     std::println!("paper in f32 against f64: {rms:e} rad RMS, {worst:e} rad at most, {crossings} crossings");
     assert!(crossings > 50, "roll passes half a turn {crossings} times");
-    // The measured error of f32: 9.6e-7 rad RMS, and at most 7.3e-6 rad, where 1/cos θ is 2.
+    // The measured error of f32 is 9.6e-7 rad RMS, and at most 7.3e-6 rad. The maximum is where 1/cos θ is 2.
     assert!(rms < 1.2e-6 && worst < 9e-6, "{rms:e} {worst:e}");
 }
 
@@ -478,8 +478,7 @@ mod robust {
     #[cfg_attr(miri, ignore = "minutes of rest")]
     fn start_in_a_gust_does_not_change_the_field() {
         // The first sample contains 2 m/s² of wind. It shows 11.5° of tilt, which moves 8 µT of the field between
-        // horizontal
-        // and vertical.
+        // horizontal and vertical.
         let mut e = robust();
         e.update(Vec3::ZERO, LEVEL + vec3(0.0, 2.0, 0.0), Some(FIELD), 0.0);
         assert!(tilt(&e) > 11.0 * DEGREE);
@@ -528,7 +527,7 @@ mod robust {
                 worst = worst.max(apart(e.attitude(), q));
             }
         }
-        // Without the estimate 1.5 µT of 25 µT is an error of 3.4°.
+        // If the filter did not estimate the offset, 1.5 µT of 25 µT would be an error of 3.4°.
         assert!(worst < 1.2 * DEGREE, "{} deg", worst / DEGREE);
     }
 

@@ -18,7 +18,7 @@ fn params() -> Params {
     }
 }
 
-/// Level and at rest: 1 g in counts of 16 g over 32,768.
+/// A sample of a vehicle that is level and at rest: 1 g, in counts of 16 g/32,768.
 const LEVEL: ImuSample = ImuSample { gyro: [0; 3], accel: [0, 0, -2048] };
 /// A field of 25 µT north and 41 µT down, in counts of 1/30 µT.
 const NORTH: MagSample = MagSample { counts: [750, 0, 1230] };

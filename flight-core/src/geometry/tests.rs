@@ -106,7 +106,7 @@ proptest! {
         prop_assert!(near((a * k) * v, (a * v) * k));
         prop_assert_eq!(Mat3::IDENTITY * a, a);
         prop_assert_eq!(a.transpose().transpose(), a);
-        // (A v) · w = v · (Aᵀ w), here for the unit vectors: each element of the transpose.
+        // (A v) · w = v · (Aᵀ w). With the unit vectors for v and w, this checks each element of the transpose.
         for (row, unit) in Mat3::<f64>::IDENTITY.rows.into_iter().enumerate() {
             prop_assert_eq!(a.transpose()[row], a * unit);
         }

@@ -50,7 +50,7 @@ pub(super) struct SceneTable {
     pub mount: MountName,
     #[serde(default)]
     pub aerobatic: bool,
-    /// Place and date of the Earth's magnetic field; `None`: Ankara.
+    /// Place and date of the Earth's magnetic field; `None` for Ankara.
     pub place: Option<PlaceTable>,
 }
 
@@ -84,9 +84,9 @@ pub(super) enum MountName {
 #[derive(Clone, Debug, Default, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Flight {
-    /// Name of the estimator; `None`: the vehicle's.
+    /// Name of the estimator; `None` for the vehicle's.
     pub estimator: Option<String>,
-    /// Cutoff of the prefilter; `None`: the vehicle's.
+    /// Cutoff of the prefilter; `None` for the vehicle's.
     pub prefilter_hz: Option<vehicle::Cutoff>,
     /// Declination, added to the magnetic heading, positive east.
     #[serde(default)]

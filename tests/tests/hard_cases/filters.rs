@@ -43,8 +43,9 @@ fn max_difference(cutoff_hz: f32, rate_hz: f32, samples: impl Iterator<Item = f3
         .fold(0.0, f64::max)
 }
 
-/// Returns the error that rounding may leave, as a share of the largest input: the rounded coefficients have a gain
-/// error of 9e-8 over 1 + a₁ + a₂ = (2π f/f_s)², and the 4 ε of rounding in a step pass with the same gain.
+/// Returns the error that rounding may leave, as a share of the largest input. The gain error of the rounded
+/// coefficients is 9e-8 divided by 1 + a₁ + a₂ = (2π f/f_s)². The rounding errors of a step, 4 ε, are divided by the
+/// same number.
 fn rounding_share(cutoff_hz: f32, rate_hz: f32) -> f64 {
     (9e-8 + 4.0 * f64::from(f32::EPSILON)) / (2.0 * PI * f64::from(cutoff_hz) / f64::from(rate_hz)).powi(2)
         + 1e-6

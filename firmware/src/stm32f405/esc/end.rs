@@ -44,7 +44,8 @@ const fn waits(protocol: Protocol) -> Waits {
         Protocol::Pwm { .. } => Waits { frame: 0, pulse: 2_080, pause: 400 },
         // The pads fall when the timers stop. The stop pulse begins 126 µs after the timers.
         Protocol::OneShot125 => Waits { frame: 260, pulse: 260, pause: 0 },
-        // The pads are low for a quarter of each bit. The pause is longer than six bits: no frame contains such a gap.
+        // The pads are low for a quarter of each bit. The pause is longer than six bits, so the pads are never low for
+        // as long within a frame.
         Protocol::DShot300 | Protocol::DShot600 => Waits { frame: 70, pulse: 70, pause: 20 },
     }
 }

@@ -1,5 +1,5 @@
-//! Random loss: each sample is lost with probability p, independently of the others. The lengths of the gaps are
-//! geometrically distributed: n or more samples in a row are lost with probability p^n.
+//! Random loss: each sample is lost with probability p, independently of the others. The number of samples
+//! that are lost in a row is geometrically distributed: n or more are lost with probability p^n.
 
 use std::marker::PhantomData;
 

@@ -9,8 +9,8 @@ pub struct Window {
 }
 
 impl Window {
-    /// Creates a window that starts at `at_s` and lasts `for_s` (s; `None`: to the end), on a stream of `rate_hz`
-    /// steps per second. The step at `at_s` is inside, the step at `at_s + for_s` is outside.
+    /// Creates a window that starts at `at_s` and lasts `for_s` (s; `None` if it lasts to the end), on a stream of
+    /// `rate_hz` steps per second. The step at `at_s` is inside, the step at `at_s + for_s` is outside.
     pub fn new(at_s: f64, for_s: Option<f64>, rate_hz: f64) -> Self {
         let step = |time_s: f64| libm::round(time_s * rate_hz) as u64;
         Self { step: 0, from: step(at_s), to: for_s.map_or(u64::MAX, |for_s| step(at_s + for_s)) }

@@ -41,7 +41,7 @@ use random::NormalStreams;
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct GyroBiasInstability {
-    /// B, deg/h: the plateau of the Allan deviation divided by 0.664.
+    /// Bias instability B, deg/h: the plateau of the Allan deviation divided by 0.664.
     pub b_deg_per_h: [f64; 3],
 }
 
@@ -49,7 +49,7 @@ pub struct GyroBiasInstability {
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct AccelBiasInstability {
-    /// B, m/s²: the plateau of the Allan deviation divided by 0.664.
+    /// Bias instability B, m/s²: the plateau of the Allan deviation divided by 0.664.
     pub b_m_s2: [f64; 3],
 }
 

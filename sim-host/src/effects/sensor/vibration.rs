@@ -31,7 +31,7 @@ fn fundamental_only() -> Vec<f64> {
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct GyroVibration {
-    /// a, deg/s: amplitude of one rotor's tone at the reference speed.
+    /// Amplitude a of one rotor's tone at the reference speed, deg/s.
     #[serde(default)]
     pub tone_deg_s: [f64; 3],
     /// r_h: amplitudes at 1, 2, 3 … times the rotor's speed, relative to a.
@@ -48,7 +48,7 @@ pub struct GyroVibration {
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct AccelVibration {
-    /// a, m/s²: amplitude of one rotor's tone at the reference speed.
+    /// Amplitude a of one rotor's tone at the reference speed, m/s².
     #[serde(default)]
     pub tone_m_s2: [f64; 3],
     /// r_h: amplitudes at 1, 2, 3 … times the rotor's speed, relative to a.
@@ -177,8 +177,8 @@ fn wrapped(turns: f64x4) -> f64x4 {
     turns - ((turns + ROUNDER) - ROUNDER)
 }
 
-/// Returns sin 2πu and cos 2πu for u within ±¼ turn, with errors below 3.4e-9 and 2.3e-10: an odd and an even minimax
-/// polynomial.
+/// Returns sin 2πu and cos 2πu for u within ±¼ turn, with errors below 3.4e-9 and 2.3e-10. They are
+/// computed by an odd and an even minimax polynomial.
 #[inline(always)]
 fn sine_and_cosine(u: f64x4) -> (f64x4, f64x4) {
     const S: [f64x4; 5] = [
@@ -196,7 +196,7 @@ fn sine_and_cosine(u: f64x4) -> (f64x4, f64x4) {
         f64x4::splat(60.144_015_092_246_654),
         f64x4::splat(-24.982_237_802_386_635),
     ];
-    // Estrin's scheme: its operations depend less on each other than those of Horner's.
+    // Estrin's scheme is used, because its operations depend less on each other than those of Horner's.
     let v = u * u;
     let v2 = v * v;
     let v4 = v2 * v2;

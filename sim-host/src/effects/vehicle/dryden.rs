@@ -40,7 +40,7 @@ use random::NormalStream;
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Dryden {
-    /// V, m/s: the speed at which the gusts pass. For a vehicle that holds its position, the speed of the wind.
+    /// Speed V at which the gusts pass, m/s. For a vehicle that holds its position it is the speed of the wind.
     pub airspeed_m_s: f64,
     /// Wind at 20 ft, W₂₀, m/s; default `airspeed_m_s`.
     pub wind_20ft_m_s: Option<f64>,
