@@ -171,7 +171,7 @@ mod tests {
     #[test]
     fn leading_terms_match_the_table() {
         let cone = Cone { a: 1e-3, w: 1.0 };
-        // In terms of the update ΔT = nh: (ωΔT)²/12, (ωΔT)⁴/960, (ωΔT)⁶/204,120.
+        // Expressed with the update ΔT = nh, the errors are (ωΔT)²/12, (ωΔT)⁴/960 and (ωΔT)⁶/204,120.
         let a2 = cone.a.sin().powi(2);
         let beta: f64 = 0.05;
         for (n, adjacent, apart, leading) in [
@@ -236,7 +236,7 @@ mod tests {
             let [w, x, y, z] = a.to_array().map(f64::from);
             2.0 * (Quaternion::new(w, x, y, z) * b.conjugate()).v.norm()
         };
-        // Below the sum of 3,000 roundings of 6e-8.
+        // The difference is below the sum of 3,000 roundings of 6e-8.
         assert!(apart(short.attitude(), long.attitude()) < 2e-5);
         assert!(apart(angles.0.attitude(), angles.1.attitude()) < 2e-5);
     }

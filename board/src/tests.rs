@@ -204,7 +204,7 @@ fn each_dma_stream_is_assigned_once() {
     assert_eq!(numbers(&[flexible.clone(), request("b", &[(1, 1)])]), Ok(vec![(1, 7), (1, 1)]));
     let both = [request("SPI3 receive", &[(1, 2)]), request("TIM3 update", &[(1, 2)])];
     assert_eq!(numbers(&both), Err("SPI3 receive and TIM3 update need the same DMA1 stream 2".into()));
-    // All motor timers at once, with the IMU.
+    // All motor timers are used at once, with the IMU.
     let all: Vec<chip::StreamRequest> = chip::spi1_requests()
         .into_iter()
         .chain(chip::timers().into_iter().map(chip::timer_request))

@@ -145,7 +145,7 @@ pub fn decode(frame: &Frame, risen: bool) -> Result<ImuSample, FrameError> {
     if status & RESET_DONE_INT != 0 {
         return Err(FrameError::Reset);
     }
-    // The accelerometer's registers, then the gyroscope's, most significant byte first.
+    // The accelerometer's registers come first, then the gyroscope's, most significant byte first.
     let axis = |n: usize| i16::from_be_bytes([answer[2 * n], answer[2 * n + 1]]);
     let sample = ImuSample { accel: [axis(0), axis(1), axis(2)], gyro: [axis(3), axis(4), axis(5)] };
     if sample.accel.iter().chain(&sample.gyro).any(|&counts| counts < LOWEST_VALID) {

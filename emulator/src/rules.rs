@@ -210,7 +210,7 @@ fn magnetometer_bus(machine: &Machine, wiring: &Wiring) -> Vec<String> {
     if rate_hz.abs_diff(wiring.magnetometer_hz) * 20 > wiring.magnetometer_hz {
         broken.push(format!("{instance}: bit rate is {rate_hz} Hz, must be {} Hz", wiring.magnetometer_hz));
     }
-    // Rise times up to 300 ns in fast mode, 1,000 ns in standard mode (UM10204, table 10).
+    // The rise time is at most 300 ns in fast mode and 1,000 ns in standard mode (UM10204, table 10).
     let rise = APB1_HZ / 1_000_000 * if fast { 300 } else { 1_000 } / 1_000 + 1;
     if i2c3::trise::TRISE.get(get(i2c3::Register::Trise)) != rise {
         broken.push(format!("{instance}.TRISE: must be the bus's rise time, {rise}"));

@@ -255,7 +255,7 @@ mod tests {
 
     const TURNED: Sensitivity = Sensitivity {
         per_count: 0.01,
-        // x of the chip points right, y backward: a board mounted 90° clockwise.
+        // The chip's x points right and its y backward: the board is mounted with a rotation of 90° clockwise.
         mounting: Mat3 { rows: [vec3(0.0, -1.0, 0.0), vec3(1.0, 0.0, 0.0), vec3(0.0, 0.0, 1.0)] },
     };
 

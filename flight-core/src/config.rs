@@ -107,7 +107,7 @@ impl Default for Params {
             channels: ChannelMap::AETR,
             arm_by: ArmBy::Sticks,
             stuck_check: StuckCheck { gyro: true, accel: true },
-            // 3 cells, at 3.5 V and at 3.0 V each.
+            // The battery has 3 cells, with limits of 3.5 V and 3.0 V a cell.
             min_arm_voltage_v: 10.5,
             critical_voltage_v: 9.0,
             descent: DescentParams::OS4,

@@ -291,7 +291,7 @@ impl Controller {
                 p.max_yaw_rate_rad_s,
             ),
         };
-        // The rotation about the vertical, in body axes.
+        // This is the rotation about the vertical, in body axes.
         tilt_rate + down * yaw_rate
     }
 }

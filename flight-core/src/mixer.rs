@@ -491,10 +491,10 @@ mod tests {
         // Full thrust and full roll: the collective is reduced, the roll is kept.
         let (squares, saturation) = mixer.mix(&wrench(12.7, 0.5 * MAX_TILT_TORQUE, 0.0, 0.0));
         assert!((paper(squares)[1] - 0.52).abs() < 1e-4 && !saturation.roll_pitch);
-        // No thrust and full yaw: the collective rises.
+        // With no thrust and full yaw, the collective thrust rises.
         let (squares, _) = mixer.mix(&wrench(0.0, 0.0, 0.0, 0.5 * MAX_YAW_TORQUE));
         assert!(paper(squares)[0] > 3.0);
-        // Hover: four equal rotors at 225.7 rad/s.
+        // In hover, the four rotors have an equal speed of 225.7 rad/s.
         let (squares, _) = mixer.mix(&wrench(0.65 * 9.80665, 0.0, 0.0, 0.0));
         for speed in Mixer::speeds(squares) {
             assert!((speed - 225.7).abs() < 0.1, "{speed}");
@@ -503,7 +503,8 @@ mod tests {
 
     #[test]
     fn rotor_positions_and_spins_give_the_signs() {
-        // From the geometry alone: cross products of lever arm and thrust, and reaction torques of the rotors.
+        // The expected values are from the geometry alone: cross products of lever arm and thrust, and reaction
+        // torques of the rotors.
         let rotors = [(1.0, -1.0, 1.0), (1.0, 1.0, -1.0), (-1.0, 1.0, 1.0), (-1.0, -1.0, -1.0)];
         for (spin, turned) in [(Spin::PropsOut, 1.0), (Spin::PropsIn, -1.0)] {
             let airframe = Airframe { forward_m: 0.1, right_m: 0.2, spin, ..Airframe::OS4 };

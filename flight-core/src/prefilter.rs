@@ -198,7 +198,7 @@ mod tests {
             let ours = Biquad::butterworth(cutoff, rate).unwrap();
             let fed = [ours.b0, 2.0 * ours.b0, ours.b0];
             for (ours, theirs) in fed.into_iter().zip(b).chain(ours.a.into_iter().zip(a)) {
-                // The rounding of the result to f32, plus the rounding of the cutoff to f32.
+                // The bound is the rounding of the result to f32, plus that of the cutoff to f32.
                 assert!(
                     (f64::from(ours) - theirs).abs() <= 1.5e-7 * theirs.abs(),
                     "{cutoff} Hz at {rate} Hz"

@@ -71,7 +71,8 @@ fn packet_has_the_documented_layout() {
     // (Python: `hex(zlib.crc32(bytes([1, 1, 0, 2, 1, 0, 0, 2])))` is 0x4b32a1e7), then COBS by hand.
     let mut packet = std::vec![1, 1, 0, 2, 1, 0, 0, 2];
     let crc = {
-        // Bit by bit, as in the standard: reflected, polynomial 0xEDB88320, inverted at both ends.
+        // This computes the checksum bit by bit, as in the standard: reflected, polynomial 0xEDB88320, inverted
+        // at both ends.
         !packet.iter().fold(u32::MAX, |crc, byte| {
             (0..8).fold(
                 crc ^ u32::from(*byte),

@@ -118,7 +118,7 @@ impl NormalStream {
     #[cold]
     fn draw_outside(&mut self, layer: usize, x: f64) -> Option<f64> {
         if layer == 0 {
-            // A draw from the tail beyond R (Marsaglia 1964).
+            // This draws from the tail beyond R (Marsaglia 1964).
             loop {
                 let away = -libm::log(uniform(&mut self.generator)) / R;
                 let y = -libm::log(uniform(&mut self.generator));

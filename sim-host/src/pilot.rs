@@ -238,7 +238,7 @@ impl Pilot {
             return Sticks::LOW;
         }
         if let Some(since) = self.landed_at_s {
-            // Throttle down, half a second of pause, then the gesture.
+            // First the throttle is down, then there is a pause of half a second, then the gesture.
             return if t_s - since > 0.5 { Sticks::DISARM } else { Sticks::LOW };
         }
         if self.land_at_s.is_some_and(|at| t_s > at) && self.is_down(t_s, view) {
@@ -279,7 +279,7 @@ impl Pilot {
 
     fn hold(&mut self, t_s: f64, view: &State) -> Sticks {
         let error = self.target_m(t_s) - view.position;
-        // No integration on the ground, where the legs hold the vehicle.
+        // Do not integrate on the ground, where the legs hold the vehicle.
         if view.position.z < self.home.z - 0.2 {
             let limit = |a: f64| a.clamp(-MAX_INTEGRAL_M_S2, MAX_INTEGRAL_M_S2);
             let Vec3 { x, y, z } = self.integral
@@ -381,7 +381,7 @@ mod tests {
         for late in 0..REACTION_FRAMES {
             assert_eq!(pilot.frame(10.0, &off).channels[1], 992, "{late} frames late");
         }
-        // North and east of the target: roll left, pitch stick back.
+        // The vehicle is north and east of the target, so the pilot rolls left and pulls the pitch stick back.
         let [_, roll, pitch, _] = pilot.frame(10.0, &off).channels;
         assert!(roll < 992 && pitch < 992);
     }

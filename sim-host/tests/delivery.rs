@@ -104,8 +104,8 @@ fn link_outage_starts_a_descent_after_half_a_second() {
     };
     // The last frame came at 14.98 s, 20 ms before the outage; the next at 17.00 s.
     assert!((lost_s - 15.48).abs() < 2.5e-3 && (back_s - 17.5).abs() < 2.5e-3, "{lost_s} {back_s}");
-    // An outage until the end: the vehicle descends 2 m at up to 1.3 m/s, stands on the ground, and stops its motors after
-    // 30 s.
+    // The outage lasts until the end. The vehicle descends 2 m at up to 1.3 m/s, stands on the ground, and stops
+    // its motors after 30 s.
     let (outcome, arrivals) =
         hover_with("[scene]\nduration_s = 60.0\n[effects.link.outage]\nat_s = 15.0\nfor_s = 45.0\n");
     println!("{outcome:?}");
@@ -130,7 +130,7 @@ fn link_latency_and_loss_are_applied_to_the_frames() {
     assert_eq!(outcome.crash, None, "{outcome:?}");
     let sent = without_delay.rc.iter().flatten().count() as f64;
     let lost = 1.0 - lossy.rc.iter().flatten().count() as f64 / sent;
-    // Five standard errors of 1,500 frames: 5 √(0.21/1500) = 0.059.
+    // The bound is five standard errors of 1,500 frames, 5 √(0.21/1500) = 0.059.
     assert!((lost - 0.3).abs() < 5.0 * (0.21 / sent).sqrt(), "{lost}");
     println!("30 % lost: {outcome:?}");
 }

@@ -106,7 +106,7 @@ fn truncated_record_is_refused() {
         let expected = match length {
             0 => DecodeError::Empty,
             1..4 => DecodeError::Magic,
-            // A length of 0xffff, or a right lower byte with an upper byte of 0xff.
+            // The length is 0xffff, or its lower byte is right and its upper byte is 0xff.
             4..8 => DecodeError::Length,
             _ => DecodeError::Checksum,
         };

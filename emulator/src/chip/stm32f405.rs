@@ -327,7 +327,7 @@ fn assemble() -> Result<Bus, Error> {
     // RM0090, 5.4.1: the backup domain is write-protected until DBP is set.
     builder = builder.gate_writes("RCC", &["BDCR"], Gate::by("PWR", "CR", "DBP"));
     builder = builder.gate_writes("RTC", &[], Gate::by("PWR", "CR", "DBP"));
-    // Instances that receive requests: see each model.
+    // These instances receive requests: see each model.
     let sinks = ["RTC", "RCC", ADC_COMMON, CONVERTERS[0], "EXTI"]
         .into_iter()
         .chain(SERIAL_INTERFACES)

@@ -319,7 +319,7 @@ fn undefined_instruction_stops_the_motors() {
     for task in ["DMA2_STREAM0", "SysTick", "EXTI4"] {
         let faults = [(AT_S, Fault::Undefined(task)), (AT_S + 0.5, Fault::Restored(task))];
         let flown = fly_twice(&hover(""), &faults);
-        // The motors stop at once: within a PWM period of 2.5 ms, or a DShot frame.
+        // The motors stop at once, which is within a PWM period of 2.5 ms or within a DShot frame.
         watchdog_resets(&flown, 0.006);
     }
 }
@@ -342,7 +342,7 @@ fn program_that_reads_unmapped_memory_is_aborted() {
 
 #[test]
 fn low_supply_voltage_stops_the_motors() {
-    // Below the voltage detector's level of 2.66 V, and above the processor's minimum supply.
+    // The voltage is below the voltage detector's level of 2.66 V, and above the processor's minimum supply.
     let faults = [(AT_S, Fault::Supply(2_600)), (AT_S + 0.01, Fault::Supply(3_300))];
     let flown = fly_twice(&hover(""), &faults);
     assert_sound(&flown);

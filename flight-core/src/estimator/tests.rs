@@ -84,7 +84,7 @@ fn weights_at_100_hz_285_hz_and_1_khz() {
     };
     let paper = weight(EstimatorParams::PAPER);
     assert!((paper.measurement_weight(0.01) - 0.03).abs() < 1e-7);
-    // τ/(τ + Δt) at 285.714 Hz, the rate of the recordings: α = 0.98929.
+    // The rate of the recordings is 285.714 Hz, so α = τ/(τ + Δt) = 0.98929.
     assert!((1.0 - paper.measurement_weight(0.0035) - 0.989_29).abs() < 1e-5);
     assert!((weight(EstimatorParams::PAPER_LITERAL).measurement_weight(0.001) - 0.03).abs() < 1e-7);
 }
@@ -92,7 +92,7 @@ fn weights_at_100_hz_285_hz_and_1_khz() {
 #[test]
 #[cfg_attr(miri, ignore = "7,000 steps of each filter")]
 fn follows_turns_past_180_degrees_without_a_jump() {
-    // About each axis in turn, 1 rad/s for 7 s: past ±180° of roll and yaw, and back.
+    // The vehicle turns about each axis in turn, with 1 rad/s for 7 s: roll and yaw pass ±180° and come back.
     for (axis, singular) in [(0, false), (1, true), (2, false)] {
         for (n, mut e) in all().into_iter().enumerate() {
             if singular && n < 2 {
@@ -510,7 +510,7 @@ mod robust {
         let offset = vec3(1.5, -1.0, 1.0);
         let mut worst = 0.0_f32;
         for k in 0..24_000_u16 {
-            // 120 s of turns about all axes, back and forth.
+            // The vehicle turns about all axes, back and forth, for 120 s.
             let t = f32::from(k) * 0.005;
             let angles = [1.0 * (0.9 * t).sin(), 0.8 * (1.3 * t).sin(), 2.0 * (0.7 * t).sin()];
             let ahead = [0.9 * (0.9 * t).cos(), 1.04 * (1.3 * t).cos(), 1.4 * (0.7 * t).cos()];

@@ -363,7 +363,7 @@ mod tests {
                 squares += (mass_kg - 0.65) * (mass_kg - 0.65);
             }
             let deviation = libm::sqrt(squares / runs as f64) / 0.065;
-            // Five standard errors of a deviation from 20,000 draws: 5/√40,000.
+            // The bound is five standard errors of a deviation from 20,000 draws, 5/√40,000.
             assert!((deviation / expected - 1.0).abs() < 0.025, "{distribution}: {deviation}");
         }
     }

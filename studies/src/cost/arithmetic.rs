@@ -145,7 +145,7 @@ pub fn study(options: &Options, progress: Progress) -> Result<Study, InputError>
     for (n, problem) in PROBLEMS.iter().enumerate() {
         let inputs = (problem.inputs)(stride);
         let exact: Vec<TwoFloat> = inputs.iter().map(|&(a, b)| (problem.exact)(a, b)).collect();
-        // Only as many inputs as fit into the cache.
+        // Use only as many inputs as fit into the cache.
         let timed = &inputs[..inputs.len().min(2000)];
         for (kind, function) in KINDS.iter().zip(problem.functions) {
             let (error, ulps) = worst(problem, function, &inputs, &exact);

@@ -21,7 +21,7 @@ pub fn table(progress: &dyn Fn(u64)) -> Result<Exhibit, InputError> {
     let mut rows = Vec::new();
     let mut worst = 0.0_f64;
     let n = Coefficient::WhiteNoise as usize;
-    // deg/h/√Hz in place of deg/√h: smaller by a factor of 60.
+    // The value in deg/h/√Hz is smaller than that in deg/√h by a factor of 60.
     for (reading, per) in [("deg/√h", 1.0), ("deg/h/√Hz", 60.0)] {
         let [x, y, z] = GYRO.map(|n| n / per);
         let effects = format!("[effects.gyro.white_noise]\nn_deg_per_sqrt_h = [{x:?}, {y:?}, {z:?}]\n");

@@ -195,7 +195,8 @@ mod tests {
             }
             let deviation = f64::sqrt(sum / count);
             println!("{length} samples: {deviation:.4}");
-            // 1,200 lists of at least 11 pairs: 1 % at 300 samples, plus the ripple of the spectrum.
+            // There are 1,200 lists of at least 11 pairs, so the bound is 1 % at 300 samples, plus the ripple of
+            // the spectrum.
             assert!((deviation / 0.6643 - 1.0).abs() < 0.035, "{length} samples: {deviation}");
         }
     }

@@ -59,7 +59,8 @@ mod tests {
 
     #[test]
     fn lever_arm_is_second_derivative_of_sensor_position() {
-        // Second differences of the path of a point on a body that turns about y by φ(t) = 0.3 sin 5t.
+        // The expected acceleration is the second difference of the path of a point on a body that turns about y
+        // by φ(t) = 0.3 sin 5t.
         let r = vec3(0.1, 0.0, -0.04);
         let mut effect = build(&LeverArm { r_m: r.into() }, 100.0);
         let place = |t: f64| {

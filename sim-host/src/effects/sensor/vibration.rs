@@ -275,7 +275,7 @@ mod tests {
     fn tones_are_at_aliases_and_grow_as_speed_squared() {
         for rotor in 0..4 {
             let mut rotors = [0.0; 4];
-            // 36 Hz, 72 Hz folded to 28 Hz, 108 Hz folded to 8 Hz.
+            // The tones are at 36 Hz, at 72 Hz folded to 28 Hz, and at 108 Hz folded to 8 Hz.
             rotors[rotor] = TAU * 36.0;
             for (frequency_hz, harmonic) in [(36.0, 1.0), (28.0, 0.5), (8.0, 0.25), (17.0, 0.0)] {
                 let got = amplitudes(&mut build(&tones(), 100.0), rotors, frequency_hz);

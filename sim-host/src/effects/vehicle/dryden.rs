@@ -337,7 +337,7 @@ mod tests {
         }
         let sigmas = [t.sigma_horizontal_m_s, t.sigma_horizontal_m_s, t.sigma_down_m_s];
         for (sum, sigma) in squares.into_iter().zip(sigmas) {
-            // Five standard errors of a variance from 20,000 draws: 5 √(2/20,000).
+            // The bound is five standard errors of a variance from 20,000 draws, 5 √(2/20,000).
             assert!((sum / 20_000.0 / (sigma * sigma) - 1.0).abs() < 0.05);
         }
     }
