@@ -110,8 +110,8 @@ fn imu_registers_match_the_datasheet_after_setup() {
     ] {
         assert_eq!(chip.register(bank, address), value, "{what}");
     }
-    // No misuse: the driver waits after power-up and reset, and writes nothing while the mode changes or the sensors
-    // sample.
+    // There is no misuse: the driver waits after power-up and reset, and writes nothing while the mode changes or
+    // the sensors sample.
     assert_eq!(chip.misuse(), []);
 }
 
@@ -399,7 +399,7 @@ fn imu_sample_during_a_burst_is_reported_as_torn() {
     let (clock, chip) = imu_chip();
     let mut imu = set_up_imu(&clock, &chip).unwrap();
     let mut torn = 0;
-    // Bursts of 12 µs that start from 20 µs before a sample to 5 µs after it.
+    // The bursts take 12 µs, and start from 20 µs before a sample to 5 µs after it.
     for early_ns in (0..=20_000).step_by(100) {
         advance_to(&clock, chip.next_sample_ns().unwrap());
         advance_to(&clock, chip.next_sample_ns().unwrap() - early_ns);

@@ -120,7 +120,7 @@ fn random_bytes_never_arm_and_the_link_recovers_after_them() {
 
 #[test]
 fn valid_frames_with_random_channels_never_arm() {
-    // Valid frames with random channels, one after the other, for ten minutes.
+    // Send valid frames with random channels, one after the other, for ten minutes.
     for protocol in BOTH {
         let mut port = Port::new(protocol);
         let mut random = Random(5);

@@ -303,7 +303,7 @@ fn first_samples_arrive_within_62_ms() {
 
 #[test]
 fn imu_reset_in_flight_recovers_within_90_ms() {
-    // Interruptions of the supply from 1 µs to 20 ms, at different phases.
+    // The supply is interrupted for 1 µs to 20 ms, at different phases.
     for (n, dip_us) in [1, 300, 1_000, 5_000, 20_000].into_iter().enumerate() {
         let _guard = exclusive();
         let mut board = Board::new();
@@ -351,7 +351,7 @@ fn broken_data_ready_line_is_replaced_by_polling() {
     assert!((1_950..=2_000).contains(&samples), "{samples}");
     assert!((1_990..=2_000).contains(&COUNTERS.polled.take()));
     assert!(board.longest_gaps_us().0 <= 3_000);
-    // The line works again: polling stops.
+    // The line works again, so polling stops.
     board.connected = true;
     board.run(10 * MS);
     board.steps.clear();

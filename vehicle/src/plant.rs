@@ -114,7 +114,7 @@ impl Plant {
 /// the protocol's time (docs/timing.md).
 fn delay_s(esc: EscProtocol) -> f64 {
     let protocol = match esc {
-        // Half of the 2.5 ms period of the pulses, plus a pulse of 1.5 ms.
+        // The delay is half of the 2.5 ms period of the pulses, plus a pulse of 1.5 ms.
         EscProtocol::Pwm => 2.75e-3,
         EscProtocol::OneShot125 => 0.2e-3,
         EscProtocol::DShot300 => 0.06e-3,

@@ -78,7 +78,7 @@ fn derived_figures_follow_from_the_file() {
 #[test]
 fn full_speed_follows_from_kv_and_cells() {
     let v = altered("max_rad_s = 319.0", "kv_rpm_per_v = 380.0").unwrap();
-    // 380 rpm/V · 11.1 V · 75 % = 3,163.5 rpm.
+    // The speed is 380 rpm/V · 11.1 V · 75 % = 3,163.5 rpm.
     assert!((v.params.max_rad_s - 3163.5 / 60.0 * std::f64::consts::TAU).abs() < 0.1);
     assert!(v.derived.iter().any(|derived| derived.what == "speed at full throttle" && derived.estimate));
 }

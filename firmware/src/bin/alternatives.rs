@@ -45,7 +45,7 @@ const POINTS: u32 = 1_024;
 const DT_S: f32 = PERIOD_US as f32 * 1.0e-6;
 /// Sample rate, Hz.
 const RATE_HZ: f64 = 1.0e6 / PERIOD_US as f64;
-/// Cutoff of the prefilters, Hz: that of the paper.
+/// Cutoff of the prefilters, Hz. It is the cutoff of the paper.
 const CUTOFF_HZ: f64 = 30.0;
 
 #[cortex_m_rt::entry]

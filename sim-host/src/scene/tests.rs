@@ -193,8 +193,7 @@ fn with_effects(names: &[&str]) -> Scene {
         let requested = |effect: &str| names.contains(&format!("{group}.{effect}").as_str());
         effects.as_table_mut().unwrap().retain(|effect, _| requested(effect));
     }
-    // The file contains the duration of the included scene, because the frequency band of the flicker noise
-    // depends on it.
+    // The duration is that of the included scene, because the frequency band of the flicker noise depends on it.
     let mut text: toml::Table = BARE.replace("duration_s = 1.0", "duration_s = 30.0").parse().unwrap();
     text.insert("effects".into(), effects.into());
     Scene::parse("some", &text.to_string()).unwrap()

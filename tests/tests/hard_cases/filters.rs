@@ -54,7 +54,7 @@ fn rounding_share(cutoff_hz: f32, rate_hz: f32) -> f64 {
 #[test]
 fn prefilter_of_30_hz_at_8_and_32_khz_matches_f64() {
     for rate_hz in [8_000.0, 32_000.0] {
-        // A step of full scale, followed for a second.
+        // The input is a step of full scale, and the output is followed for a second.
         let samples = (0..rate_hz as u32).map(|k| if k < 10 { -2_000.0 } else { 2_000.0 });
         let max_difference = max_difference(30.0, rate_hz, samples);
         assert!(max_difference < 4_000.0 * rounding_share(30.0, rate_hz), "{rate_hz} Hz: {max_difference}");
@@ -89,7 +89,7 @@ fn cutoff_near_nyquist_is_refused_and_the_highest_filters() {
     for cutoff_hz in [490.0, 499.0, 499.4] {
         let samples = (0..100_000_u32).map(|k| if k.is_multiple_of(7) { 2_000.0 } else { -2_000.0 });
         let max_difference = max_difference(cutoff_hz, 1_000.0, samples);
-        // The same bound as for low cutoffs, measured from half the rate.
+        // The bound is the same as for low cutoffs, measured from half the rate.
         assert!(
             max_difference < 4_000.0 * rounding_share(500.0 - cutoff_hz, 1_000.0),
             "{cutoff_hz} Hz: {max_difference}"
@@ -99,7 +99,7 @@ fn cutoff_near_nyquist_is_refused_and_the_highest_filters() {
 
 #[test]
 fn prefilter_keeps_a_constant_for_three_hours() {
-    // Three hours at 1 kHz. The loss of a step stays the same once the states repeat.
+    // The test runs for three hours at 1 kHz. The loss of a step stays the same once the states repeat.
     let design = Biquad::butterworth(30.0, 1_000.0).unwrap();
     for x in [9.80665_f32, -2_000.0, 1e-3, 0.0] {
         let mut section = Section::settled(&design, x);

@@ -117,7 +117,7 @@ fn vehicles_at_parameter_limits_are_refused_or_stand_still() {
                         mass * 1e3,
                         leg * 1e3,
                         arm * 1e3,
-                        // The thrust coefficient of OS4, scaled with the mass.
+                        // The thrust coefficient is that of OS4, scaled with the mass.
                         mass / 0.65 * 3.13e-5,
                     );
                     match hover_with(&table) {

@@ -123,7 +123,7 @@ fn gyroscope_of_table_2_is_0_03228_deg_per_s_per_root_hz() {
     assert!((n[0] - 0.03228).abs() < 1e-6);
     let (scene, seed) = on_the_bench(60.0);
     let mut gyro = scene.gyro(seed, 1000.0);
-    // The random draws of the sensor, from the same streams.
+    // These are the random draws of the sensor, from the same streams.
     let mut streams = NormalStreams::new(seed, "gyro.white_noise");
     for _ in 0..1000 {
         let readings = <[f64; 3]>::from(gyro.measure(Vec3::ZERO, &STILL));

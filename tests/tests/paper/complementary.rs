@@ -129,7 +129,7 @@ fn rate_noise_gain_is_3_99_steps_and_bias_gain_is_32_33() {
             println!("case {n}: {:.4} {:.3}", spread.deviation() / sigma / dt_s, spread.mean() / bias / dt_s);
             spread.assert_deviation(deviation, case.samples_per_independent_square());
             let error = deviation * libm::sqrt((1.0 + a) / (1.0 - a) / spread.count());
-            // Through the Euler rates the axes' offsets couple in proportion to their size, at most 3.3e-4 rad.
+            // The Euler rates couple the axes' offsets in proportion to their size, by at most 3.3e-4 rad.
             assert!(
                 (spread.mean() - offset).abs() < 5.0 * error + 1e-3 * offset,
                 "{} {offset}",

@@ -275,7 +275,7 @@ impl Monitor {
     }
 }
 
-/// Period of the simulated watchdog, µs: that of the real one.
+/// Period of the simulated watchdog, µs. It is the period of the real one.
 const WATCHDOG_US: u32 = 1_000_000;
 
 /// Time of the watchdog's start or last feed, µs.

@@ -96,7 +96,7 @@ pub trait ThrustEffect: Send {
 
 /// A force and a torque on the body.
 pub trait BodyEffect: Send {
-    /// Adds to the load. `thrusts` are those of the rotors, N.
+    /// Adds the effect's force and torque to the load. `thrusts` are the thrusts of the rotors, N.
     fn apply(&self, load: &mut Load, thrusts: &[f64; 4], at: &Stage);
 
     /// Returns true if the load jumps with the command, although the speeds of rotors with a lag do not jump.

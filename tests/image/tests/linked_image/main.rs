@@ -65,7 +65,7 @@ const HANDLERS: [(&str, u8); 10] = [
     ("TIM5", 6),         // sample overdue
     ("USART2", 6),       // receive
     ("PVD", 7),          // the supply is too low
-    // Above all priorities: failure of the crystal oscillator.
+    // A failure of the crystal oscillator is above all priorities.
     ("NonMaskableInt", 17),
 ];
 

@@ -105,7 +105,7 @@ fn malicious_frames_pass_at_the_computed_rate() {
             found.len(),
             longest_run_us(&found, 1_000_000) / 1_000,
         );
-        // Four standard deviations of a Poisson distribution.
+        // The bound is four standard deviations of a Poisson distribution.
         assert!((found.len() as f64 - expected).abs() < 4.0 * expected.sqrt());
     }
 }
