@@ -9,11 +9,11 @@
 //! | [`Coning`] of 2 samples | a²ω β⁴/60 | 2 samples |
 //! | [`Coning`] of 3 samples | a²ω β⁶/280 | 3 samples |
 //!
-//! While the axis of rotation itself moves, rotations about the body's axes must not be added: a sample holds
-//! their sum, and the error is ½ ∫ α × dα over the update. In coning motion, as of a shaken vehicle, this error
-//! has a mean, and the attitude drifts. From two samples follows the change of the rates, from three the change of that
-//! change, and with them the integral (R. B. Miller, *A new strapdown attitude algorithm*, Journal of Guidance 6, 1983;
-//! the coefficients for three samples are those that are best for coning motion).
+//! While the axis of rotation itself moves, rotations about the body's axes must not be added: a sample holds their
+//! sum, and the error is ½ ∫ α × dα over the update. In coning motion, as of a shaken vehicle, this error has a mean,
+//! and the attitude drifts. Two samples give the change of the rates, three also the change of that change. The
+//! integral follows from these changes (R. B. Miller, *A new strapdown attitude algorithm*, Journal of Guidance 6,
+//! 1983; the coefficients for three samples are those that are best for coning motion).
 
 use flight_core::geometry::{Quaternion, Vec3};
 

@@ -75,7 +75,7 @@ const ANALOG: [&str; 16] = [
     "PC5",
 ];
 
-/// The debug probe's pins: without them, the chip can only be flashed through the boot loader.
+/// The debug probe's pins. Without them, the chip can only be flashed through the boot loader.
 pub const DEBUG: [&str; 2] = ["PA13", "PA14"];
 
 /// Motor timers with the DMA streams and channels of their update event. TIM5 also has one, but counts the firmware's

@@ -1,8 +1,8 @@
 //! The simulated pilot, who sees the truth 0.2 s late and moves four sticks 50 times per second.
 //!
-//! The pilot arms with the sticks, or with the arm switch if the vehicle has one, takes off, holds a position, lands and
-//! disarms. A *script* moves named sticks at
-//! given times. The other sticks follow the base: the pilot who holds the position, or centred sticks for a stand.
+//! The pilot arms with the sticks, or with the arm switch if the vehicle has one, takes off, holds a position, lands
+//! and disarms. A *script* moves named sticks at given times. The other sticks follow the base: the pilot who holds the
+//! position, or centred sticks for a stand.
 
 use std::collections::VecDeque;
 
@@ -152,8 +152,8 @@ const MAX_INTEGRAL_M_S2: f64 = 3.0;
 const POSITION_P: f64 = 0.5;
 /// Gain from velocity to acceleration north and east, 1/s.
 const POSITION_D: f64 = 1.2;
-/// Gain from the integral of the position error to acceleration, 1/s³: against a steady wind or an error of the level
-/// attitude.
+/// Gain from the integral of the position error to acceleration, 1/s³. The integral compensates a steady wind or an
+/// error of the level attitude.
 const POSITION_I: f64 = 0.08;
 /// Limit of the tilt for holding a position, rad (20°).
 const MAX_HOLD_TILT_RAD: f64 = 0.35;

@@ -7,7 +7,7 @@
 //! | Region | Address | Size | |
 //! |---|---|---|---|
 //! | flash | 0x0800_0000 | 1 MiB | programmed through FLASH |
-//! | CCM | 0x1000_0000 | 64 KiB | DMA can't reach it: [`Stm32f405::unreachable_by_dma`] |
+//! | CCM | 0x1000_0000 | 64 KiB | DMA cannot reach it: [`Stm32f405::unreachable_by_dma`] |
 //! | system | 0x1FFF_0000 | 32 KiB | factory calibration |
 //! | SRAM | 0x2000_0000 | 112 + 16 KiB | |
 //! | backup SRAM | 0x4002_4000 | 4 KiB | |

@@ -433,7 +433,7 @@ mod robust {
                 worst = worst.max(tilt(&e));
             }
             let bound = 0.645 * (accel * seconds).abs() / (G * TAU_S);
-            // 3 % more, because the filter attributes a part to the bias for a while.
+            // The bound allows 3 % more, because the filter attributes a part to the bias for a while.
             assert!(
                 worst <= 1.03 * bound && worst > min_share * bound,
                 "{accel} {seconds}: {worst}, {bound}"

@@ -159,8 +159,8 @@ mod tests {
     use proptest::prelude::*;
 
     proptest! {
-        /// For any ticks: inside the range a straight line on either side of the centre, beyond the ends full
-        /// deflection.
+        /// Compares the positions for any ticks with a straight line on either side of the centre. Beyond the ends of
+        /// the range the deflection is full.
         #[test]
         fn any_ticks_give_positions_in_range(
             channels in prop::array::uniform4(prop_oneof![

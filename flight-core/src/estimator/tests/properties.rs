@@ -442,7 +442,8 @@ fn one_second_of_rest_gives_a_zero() {
     }
 }
 
-/// After ten seconds the mean decays: of a step of the bias, (1 − Δt/10 s)ⁿ remains after n samples.
+/// After ten seconds old readings lose their weight in the mean. If the bias steps, the share (1 − Δt/10 s)ⁿ of the
+/// step remains as an error after n samples.
 #[test]
 fn long_rest_follows_a_drift() {
     let mut zero = GyroZero::default();

@@ -37,7 +37,7 @@ pub struct GyroVibration {
     /// r_h: amplitudes at 1, 2, 3 … times the rotor's speed, relative to a.
     #[serde(default = "fundamental_only")]
     pub harmonics: Vec<f64>,
-    /// n at the reference speed, deg/s/√Hz (two-sided, as N).
+    /// Density n of the broadband noise at the reference speed, deg/s/√Hz (two-sided, as N).
     #[serde(default)]
     pub broadband_deg_s_per_sqrt_hz: [f64; 3],
     /// Reference speed Ω_ref, rad/s; default: the vehicle's hover speed.
@@ -54,7 +54,7 @@ pub struct AccelVibration {
     /// r_h: amplitudes at 1, 2, 3 … times the rotor's speed, relative to a.
     #[serde(default = "fundamental_only")]
     pub harmonics: Vec<f64>,
-    /// n at the reference speed, m/s²/√Hz (two-sided, as N).
+    /// Density n of the broadband noise at the reference speed, m/s²/√Hz (two-sided, as N).
     #[serde(default)]
     pub broadband_m_s2_per_sqrt_hz: [f64; 3],
     /// Reference speed Ω_ref, rad/s; default: the vehicle's hover speed.

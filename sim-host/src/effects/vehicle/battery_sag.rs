@@ -83,7 +83,7 @@ struct Pack {
     ohm: f64,
     per_capacity_a_s: f64,
     charge: f64,
-    /// exp(−35 charge), updated with the charge.
+    /// Value of exp(−35 charge), updated with the charge.
     exponential: f64,
     voltage_v: f64,
 }

@@ -243,13 +243,14 @@ mod tests {
 
     #[test]
     fn gust_intensity_and_length_meet_the_specification() {
-        // At 20 ft, 15 knots: σ_w = 1.5 knots; the powers of the base 0.19346 by its logarithm.
+        // At 20 ft and 15 knots σ_w is 1.5 knots. The powers of the base 0.19346 are computed by its logarithm.
         let t = Turbulence::at(20.0, 15.0 * 0.514_444);
         let base: f64 = 0.177 + 0.000823 * 20.0;
         assert!((t.sigma_down_m_s - 0.771_67).abs() < 1e-5);
         assert!((t.sigma_horizontal_m_s / t.sigma_down_m_s - (-0.4 * base.ln()).exp()).abs() < 1e-12);
         assert!((t.length_horizontal_m / 0.3048 - 20.0 * (-1.2 * base.ln()).exp()).abs() < 1e-9);
-        // At 1,000 ft the specification agrees with its model for medium altitude: isotropic, length 1,000 ft.
+        // At 1,000 ft the specification agrees with its model for medium altitude: the turbulence is
+        // isotropic, with a length of 1,000 ft.
         let t = Turbulence::at(1000.0, 10.0);
         assert!((t.sigma_horizontal_m_s - 1.0).abs() < 1e-9 && (t.length_horizontal_m - 304.8).abs() < 1e-6);
     }

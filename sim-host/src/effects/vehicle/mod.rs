@@ -65,9 +65,9 @@ pub struct Stage<'a> {
 /// Force and torque on the body.
 #[derive(Clone, Copy, Debug)]
 pub struct Load {
-    /// N, north, east, down.
+    /// Force, N, north, east, down.
     pub force: Vec3<f64>,
-    /// N·m, body axes, about the centre of gravity.
+    /// Torque, N·m, body axes, about the centre of gravity.
     pub torque: Vec3<f64>,
 }
 
