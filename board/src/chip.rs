@@ -1,7 +1,9 @@
 //! The STM32F405RG's connections of signals to pins, and of DMA streams to peripherals.
 //!
-//! Pins: data sheet DS8626, table 9. DMA: reference manual RM0090, tables 42 and 43. The firmware's build compares the
-//! used entries with the tables of `stm32f4xx-hal`: a pin or a stream that they do not have does not compile.
+//! The pins are from the data sheet DS8626, table 9, and the DMA streams from the reference manual RM0090, tables 42
+//! and
+//! 43. The firmware's build compares the used entries with the tables of `stm32f4xx-hal`, so a pin or a stream that
+//!     these do not have does not compile.
 
 use crate::Pin;
 

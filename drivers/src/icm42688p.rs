@@ -203,7 +203,7 @@ impl<SPI: SpiDevice> Icm42688p<SPI> {
 mod tests {
     use super::*;
 
-    /// Accelerometer 1, −2, 32,767; gyroscope −32,766, 300, −1; new sample.
+    /// The frame has the accelerometer counts 1, −2, 32,767, the gyroscope counts −32,766, 300, −1, and a new sample.
     const FRAME: Frame = [0x5a, 0, 1, 0xff, 0xfe, 0x7f, 0xff, 0x80, 0x02, 1, 0x2c, 0xff, 0xff, 0, 0, 0x08];
 
     fn with(changes: &[(usize, u8)]) -> Frame {

@@ -46,7 +46,7 @@ pub struct Counters {
     pub lost: Counter,
     /// Number of bursts that were started without an edge of the data-ready line.
     pub polled: Counter,
-    /// Samples that became ready while the previous one was being read or processed.
+    /// Number of samples that became ready while the previous one was being read or processed.
     pub late: Counter,
     /// Bursts that returned the previous sample again.
     pub repeated: Counter,
@@ -56,7 +56,7 @@ pub struct Counters {
     pub unreadable: Counter,
     /// Longest time from the wake-up of `control_loop` to its end, µs.
     pub longest_us: Counter,
-    /// Steps whose pulses were not sent, because the previous ones were still being sent.
+    /// Number of steps whose pulses were not sent, because the previous ones were still being sent.
     pub outputs_dropped: Counter,
     /// Number of restarts of the outputs after a pulse or frame that hung or was cut short.
     pub outputs_recovered: Counter,

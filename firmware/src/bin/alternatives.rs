@@ -2,8 +2,8 @@
 //! itself: see the module `instruction_counter`, and the figures in `studies/src/cost/m4.toml`.
 //!
 //! Every function is called out of line, and its count includes the call: "call alone" is a function that returns its
-//! argument. Inlined into a caller that shares its constants, a function takes less: `sin_cos` 35 instructions in a
-//! loop (`icount`), and 56 here.
+//! argument. Inlined into a caller that shares its constants, a function takes less: `sin_cos` takes 35 instructions
+//! in a loop (`icount`), and 56 here.
 //!
 //! A line of output is `icount,<figure>,<inputs>,<instructions in all>,<most for one input>`; a following line
 //! `code,<figure>,<address>` gives the address of the figure's code in flash.

@@ -174,8 +174,8 @@ fn config() -> Config {
 /// Brings the board up: first the motor pads low, the watchdog, the clocks and the stop on the outputs, then all other
 /// parts.
 pub fn init(mut core: cortex_m::Peripherals, device: pac::Peripherals) -> Board {
-    // The pads float after a reset, and the reaction of an ESC to that is unknown. The pull-downs stay enabled: a timer
-    // that is being set up again does not drive its pads.
+    // The pads float after a reset, and the reaction of an ESC to that is unknown. The pull-downs stay enabled, because
+    // a timer that is being set up again does not drive its pads.
     let (mut rcc, parts) = wiring::split(device);
     LINES.pull_pads_down();
 

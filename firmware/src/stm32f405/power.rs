@@ -25,7 +25,7 @@
 //! # The crystal
 //! The clock security system monitors it. If it fails, the hardware switches to the internal 16 MHz oscillator and
 //! raises the non-maskable interrupt, within microseconds. The core and its bus clocks then run at 16 MHz, and APB1's
-//! timers at 8 instead of 84: every pulse would be ten times too long, and every DShot frame ten times too slow.
+//! timers at 8 instead of 84 MHz. So every pulse would be ten times too long, and every DShot frame ten times too slow.
 //! Therefore sending stops: the pads are pulled down ([`crate::board::stop_after_fault`]), and without a signal an ESC
 //! stops its motor. The watchdog has its own clock, and resets the chip. If the crystal does not start, the clock
 //! set-up waits for it until the watchdog's next reset, and so on, with the pads pulled down.

@@ -147,8 +147,9 @@ pub fn config() -> Config {
     }
 }
 
-/// The interrupt that serves the link: that of the floating-point unit, which is never enabled there. It has the
-/// highest number of all vectors of its priority (that of `magnetometer`), so it runs last.
+/// The interrupt that serves the link. Its vector is that of the floating-point unit, whose own interrupt is never
+/// enabled. The vector has the highest number of all vectors of its priority (the priority of `magnetometer`), so it
+/// runs last.
 const SLOT_INTERRUPT: Interrupt = Interrupt::FPU;
 const SLOT_PRIORITY: u8 = 1;
 

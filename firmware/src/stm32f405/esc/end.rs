@@ -3,7 +3,7 @@
 //! No other part of the program runs then. [`Lines::finish_and_restart`] and [`Lines::send`] put the stop on the pads,
 //! in any state of timers and DMA after the fault:
 //!
-//! 1. A pulse or frame that is being sent is finished: a cut pulse would be another throttle value.
+//! 1. A pulse or frame that is being sent is finished, because a cut pulse would be another throttle value.
 //! 2. Timers and DMA are reset. The pads are low, by their pull-downs.
 //! 3. The line pauses, so that the ESC can separate the stop from what came before, even if that was cut.
 //! 4. Timers and DMA are set up as at the start, and the stop is sent.
