@@ -142,8 +142,8 @@ const HEIGHT_P: f64 = 1.4;
 /// Gain from climb rate error to acceleration, 1/s. With 0.2 s of reaction time and 0.05 s of motor lag, 2.4/s leaves a
 /// phase margin of 50°.
 const HEIGHT_D: f64 = 2.4;
-/// Gain from the integral of the height error to acceleration, 1/s³: against a battery that discharges, a payload, a
-/// downdraught.
+/// Gain from the integral of the height error to acceleration, 1/s³. The integral compensates a battery that
+/// discharges, a payload, or a downdraught.
 const HEIGHT_I: f64 = 0.3;
 /// Limit of the integral part, m/s²: a third of the weight.
 const MAX_INTEGRAL_M_S2: f64 = 3.0;
@@ -391,7 +391,8 @@ mod tests {
         let start = at(vec3(0.0, 0.0, -0.05));
         let plan = Plan { land_before_end_s: Some(20.0), ..PLAN };
         let mut pilot = Pilot::new(&PilotScript { plan, ..hold() }, 60.0, KNOWLEDGE, &start);
-        // On two feet, 5 cm up. The descent from 2 m starts at 40 s, so the target is on the ground from 44 s on.
+        // The vehicle is on two feet, 5 cm up. The descent from 2 m starts at 40 s, so the target is on the ground from
+        // 44 s on.
         let leaning = at(vec3(0.0, 0.0, -0.1));
         for (t_s, holds) in [(43.0, true), (47.9, true), (48.1, false), (50.0, false)] {
             for _ in 0..=REACTION_FRAMES {

@@ -249,11 +249,11 @@ fn assemble() -> Result<Bus, Error> {
         .collect();
     let names: Vec<&'static str> = instances.iter().map(|instance| instance.name).collect();
     let mut builder = Bus::builder(CPU, &MEMORY, instances)
-        // The F405's identity (RM0090, 38.6.1): 0x413; revision Z, 0x1001 (errata sheet ES0182).
+        // The F405's identity is 0x413 (RM0090, 38.6.1), and revision Z is 0x1001 (errata sheet ES0182).
         .reset("DBG", "DBGMCU_IDCODE", 0x1001_6413)
         .aborts_in("nothing", 0, 0xe000_0000);
 
-    // Corrections: ST's machine-readable description differs from its manual.
+    // These are corrections, because ST's machine-readable description differs from its manual.
     for &name in &names {
         let gate = |registers: fn((&'static str, &'static str)) -> &'static str, field: &str| {
             ENABLES.into_iter().map(registers).find_map(|register| {

@@ -187,8 +187,8 @@ fn printed_equations_11_and_12_are_reversed_at_90_deg_yaw() {
     assert!(a.y < -1.0 && (a.y + y).abs() < 1e-9);
 }
 
-/// Eqs 8-10 taken literally (as accelerations of the Euler angles) against the rigid body, both integrated from the
-/// same rates: equal for small angles, different for large ones.
+/// Compares eqs 8-10 taken literally (as accelerations of the Euler angles) with the rigid body. Both are integrated
+/// from the same rates. They are equal for small angles and different for large ones.
 #[test]
 fn printed_equations_8_to_10_fail_at_large_angles() {
     let departure = |rate: f64| {

@@ -40,7 +40,7 @@ pub(super) struct SceneTable {
     pub description: String,
     pub duration_s: f64,
     pub seed: u64,
-    /// The vehicle, loaded before this is parsed.
+    /// The vehicle. It is loaded before this text is parsed.
     #[serde(rename = "vehicle")]
     _vehicle: String,
     /// The IMU preset. It is loaded before this text is parsed, and its values complete the effects.

@@ -129,7 +129,7 @@ fn battery_voltage_falls_under_load() {
     let battery =
         BatterySag { cells: 3, capacity_mah: 2000.0, resistance_mohm: 30.0, efficiency: 0.7, charge: 0.5 };
     let mut v = in_the_air(vec![built(&battery, STEP_S)]);
-    // 3 (3.685 + 0.1078 − 0.02945 + 0.04001) V at half the charge; e^(−17.5) is negligible.
+    // At half the charge the voltage is 3 (3.685 + 0.1078 − 0.02945 + 0.04001) V; e^(−17.5) is negligible.
     assert!((v.battery_v().unwrap() - 11.4101).abs() < 1e-3, "{:?}", v.battery_v());
     for _ in 0..2000 {
         v.command([250.0; 4]);

@@ -110,7 +110,7 @@ mod tests {
     use super::*;
     use flight_core::sample::ImuSample;
 
-    /// The sample of step k: every count different, and different at every step.
+    /// Returns the sample of step k. All its counts are different, and they differ at every step.
     fn sample(k: i16) -> ImuSample {
         ImuSample { gyro: [k, 100 + k, 200 + k], accel: [-k, -100 - k, -200 - k] }
     }

@@ -33,7 +33,7 @@ mod tests {
         let inside = |mut window: Window| -> Vec<usize> {
             (0..20).filter(|_| window.next_is_inside()).collect::<Vec<_>>()
         };
-        // 0.003 s and 0.007 s at 1 kHz: neither has an exact binary form.
+        // The times are 0.003 s and 0.007 s at 1 kHz. Neither has an exact binary form.
         assert_eq!(inside(Window::new(0.003, Some(0.004), 1000.0)), [3, 4, 5, 6]);
         assert_eq!(inside(Window::new(0.017, None, 1000.0)), [17, 18, 19]);
         assert_eq!(inside(Window::new(0.03, Some(0.1), 100.0)).len(), 10);

@@ -123,7 +123,7 @@ struct Step {
 fn moment_of_decay(k: u32, epsilon: f64) -> f64 {
     let mut term = (0..k).fold(epsilon, |product, _| product * epsilon);
     let mut sum = 0.0;
-    // |term| ≤ (2ε)ⁿ/n!: for ε ≤ 2, below 1e-16 before n = 36.
+    // |term| ≤ (2ε)ⁿ/n!, which for ε ≤ 2 is below 1e-16 before n = 36.
     for n in 0..36_u32 {
         sum += term / f64::from(n + k + 1);
         term *= -2.0 * epsilon / f64::from(n + 1);
@@ -301,7 +301,7 @@ mod tests {
         let t = Turbulence::at(6.096 / 0.3048, 8.0);
         let sigmas = [t.sigma_horizontal_m_s, t.sigma_horizontal_m_s, t.sigma_down_m_s];
         let taus = [t.length_horizontal_m, t.length_horizontal_m, t.length_down_m].map(|l| l / 20.0);
-        // 40 records of 100 s; the longest τ is 2.2 s, the shortest 0.3 s.
+        // There are 40 records of 100 s; the longest τ is 2.2 s, the shortest 0.3 s.
         let lags = [0.0, 0.5, 1.0, 2.0];
         let mut sums = [[0.0; 4]; 3];
         let (records, steps) = (40, 100_000);
