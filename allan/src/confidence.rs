@@ -105,9 +105,12 @@ impl Differences {
         LONGEST_SUM / self.correlations(LONGEST_SUM, LONGEST_SUM, LONGEST_SUM / r, continuous)
     }
 
-    /// Returns the sum of squared correlations for white phase noise in a short estimator (r ≤ d), in which not all pairs
-    /// of correlated terms exist: 1 + twice the squared correlations at the multiples k τ < r τ, weighted by the share of
-    /// existing pairs. The correlations are binomial coefficients.
+    /// Returns the sum of squared correlations between the terms, for white phase noise in a short estimator: its
+    /// length is r τ, with r at most d, the order of the differences.
+    ///
+    /// Terms are correlated if they are k τ apart, with k = 1 … d. In an estimator of the length r τ such pairs exist
+    /// only for k below r, and only for a share 1 − k/r of the terms. So the sum is 1 + 2 Σ ρ_k² (1 − k/r) over k < r.
+    /// The correlation ρ_k is a binomial coefficient, C(2d, d − k)/C(2d, d).
     fn few_white_phase(&self, r: f64) -> f64 {
         let row: &[f64] = if self.d == 2 { &[6.0, 4.0, 1.0] } else { &[20.0, 15.0, 6.0, 1.0] };
         let sum: f64 = row

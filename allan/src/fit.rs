@@ -408,7 +408,8 @@ pub fn fit(points: &[Point], record_s: f64, step: Option<f64>) -> Fit {
         match chosen.terms.iter().position(|&t| t == term) {
             Some(i) => {
                 let value = libm::sqrt(chosen.squares[term]);
-                // The fit gives σ of the square: σ of the value is that divided by twice the value.
+                // The fit gives the σ of the square. The σ of the value is the σ of the square, divided by twice the
+                // value.
                 let uncertainty = libm::sqrt(covariance[i][i] * widening) / (2.0 * value);
                 Found::Value { value, uncertainty }
             }

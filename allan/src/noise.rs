@@ -10,7 +10,8 @@ use super::statistic::Statistic;
 
 /// Minimum number of averages for an identification.
 const MIN_AVERAGES: usize = 30;
-/// Maximum number of averages that are used: r is then known to 0.003. Of longer records the middle is used.
+/// Maximum number of averages that are used. With this number r is known to 0.003. Of longer records only the middle is
+/// used.
 const MAX_AVERAGES: usize = 1 << 17;
 
 /// Returns the exponent at averaging factor m, for the statistic's edf; `None` if the record is too short.

@@ -148,7 +148,8 @@ fn bounds_equal_those_of_stable32() {
             let m = 1 << k;
             let found = deviation(&phase, statistic, m);
             assert_eq!(found.1, terms, "{statistic:?} {m}");
-            // The power law is identified from 30 averages on, and else is white noise; Stable32 found white noise at all m.
+            // The power law is identified if there are at least 30 averages; otherwise it is taken as white noise.
+            // Stable32 found white noise at all m.
             let alpha = noise::exponent(&phase, m, statistic).unwrap_or(0);
             assert_eq!(alpha, 0, "{statistic:?} {m}");
             let edf = Estimate { statistic, alpha, m, sums: 1001 }.edf();

@@ -27,7 +27,8 @@ use super::phase::Phase;
 pub enum Statistic {
     /// Allan variance by eq 15: differences of neighbouring averages, without overlap.
     Standard,
-    /// Allan variance with averages that start at each sample: the same expectation with less scatter.
+    /// Allan variance with averages that start at each sample. Its expectation is that of `Standard`, with less
+    /// scatter.
     Overlapping,
     /// Modified Allan variance: averages over m differences, which separates white and flicker phase noise.
     Modified,

@@ -65,7 +65,7 @@ fn quantized_angle_gives_q_if_rounding_is_noise() {
         });
         fit_of(samples.collect(), RATE_HZ, None)
     };
-    // The angle changes by 0.003 a sample: a quantum takes fewer than three samples.
+    // The angle changes by 0.003 a sample, so a quantum takes fewer than three samples.
     let quantum = 0.008;
     let fit = fit_with(quantum);
     let [q, n, ..] = values(&fit);

@@ -9,11 +9,11 @@
 //! | [`Coning`] of 2 samples | a²ω β⁴/60 | 2 samples |
 //! | [`Coning`] of 3 samples | a²ω β⁶/280 | 3 samples |
 //!
-//! While the axis of rotation itself moves, rotations about the body's axes must not be added: a sample holds
-//! their sum, and the error is ½ ∫ α × dα over the update. In coning motion, as of a shaken vehicle, this error
-//! has a mean, and the attitude drifts. From two samples follows the change of the rates, from three the change of that
-//! change, and with them the integral (R. B. Miller, *A new strapdown attitude algorithm*, Journal of Guidance 6, 1983;
-//! the coefficients for three samples are those that are best for coning motion).
+//! While the axis of rotation itself moves, rotations about the body's axes must not be added: a sample holds their
+//! sum, and the error is ½ ∫ α × dα over the update. In coning motion, as of a shaken vehicle, this error has a mean,
+//! and the attitude drifts. Two samples give the change of the rates, three also the change of that change. The
+//! integral follows from these changes (R. B. Miller, *A new strapdown attitude algorithm*, Journal of Guidance 6,
+//! 1983; the coefficients for three samples are those that are best for coning motion).
 
 use flight_core::geometry::{Quaternion, Vec3};
 
@@ -171,7 +171,7 @@ mod tests {
     #[test]
     fn leading_terms_match_the_table() {
         let cone = Cone { a: 1e-3, w: 1.0 };
-        // In terms of the update ΔT = nh: (ωΔT)²/12, (ωΔT)⁴/960, (ωΔT)⁶/204,120.
+        // Expressed with the update ΔT = nh, the errors are (ωΔT)²/12, (ωΔT)⁴/960 and (ωΔT)⁶/204,120.
         let a2 = cone.a.sin().powi(2);
         let beta: f64 = 0.05;
         for (n, adjacent, apart, leading) in [
@@ -236,7 +236,7 @@ mod tests {
             let [w, x, y, z] = a.to_array().map(f64::from);
             2.0 * (Quaternion::new(w, x, y, z) * b.conjugate()).v.norm()
         };
-        // Below the sum of 3,000 roundings of 6e-8.
+        // The difference is below the sum of 3,000 roundings of 6e-8.
         assert!(apart(short.attitude(), long.attitude()) < 2e-5);
         assert!(apart(angles.0.attitude(), angles.1.attitude()) < 2e-5);
     }

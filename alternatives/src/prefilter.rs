@@ -75,7 +75,8 @@ mod tests {
             assert!((amplitude - 0.5_f64.sqrt()).abs() < 1e-4, "PT1 {cutoff} of {rate}: {amplitude}");
             for (factor, expected) in [
                 (1.0, 0.5_f64.sqrt()),
-                // The bilinear transform maps the frequency to tan(πf/fs); expected is a Butterworth of that ratio.
+                // The bilinear transform maps the frequency f to tan(πf/fs), so the expected gain is that of a
+                // Butterworth filter at the ratio of these tangents.
                 (
                     2.0,
                     (1.0 + ((2.0 * PI * cutoff / rate).tan() / (PI * cutoff / rate).tan()).powi(8))

@@ -1,7 +1,9 @@
 //! The STM32F405RG's connections of signals to pins, and of DMA streams to peripherals.
 //!
-//! Pins: data sheet DS8626, table 9. DMA: reference manual RM0090, tables 42 and 43. The firmware's build compares the
-//! used entries with the tables of `stm32f4xx-hal`: a pin or a stream that they do not have does not compile.
+//! The pins are from the data sheet DS8626, table 9, and the DMA streams from the reference manual RM0090, tables 42
+//! and
+//! 43. The firmware's build compares the used entries with the tables of `stm32f4xx-hal`, so a pin or a stream that
+//!     these do not have does not compile.
 
 use crate::Pin;
 
@@ -75,7 +77,7 @@ const ANALOG: [&str; 16] = [
     "PC5",
 ];
 
-/// The debug probe's pins: without them, the chip can only be flashed through the boot loader.
+/// The debug probe's pins. Without them, the chip can only be flashed through the boot loader.
 pub const DEBUG: [&str; 2] = ["PA13", "PA14"];
 
 /// Motor timers with the DMA streams and channels of their update event. TIM5 also has one, but counts the firmware's

@@ -127,7 +127,7 @@ pub struct Battery {
     pub pin: Pin,
     /// The pin's channel of ADC1.
     pub channel: u8,
-    /// Ratio of the divider: battery voltage over pin voltage.
+    /// Ratio of the divider: battery voltage divided by pin voltage.
     pub ratio: f64,
 }
 
@@ -187,7 +187,7 @@ pub struct Board {
     pub led: Option<Led>,
     /// The motor pads, in the order of [`PADS`].
     pub motors: [Motor; 4],
-    /// The pads' timers, in the order in which the firmware starts them: that of the last pad comes last.
+    /// The pads' timers, in the order in which the firmware starts them. The timer of the last pad comes last.
     pub timers: Vec<Timer>,
 }
 

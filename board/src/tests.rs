@@ -26,7 +26,8 @@ fn for_every_board<T>(expected: &[(&str, T)], check: impl Fn(&Board, &T)) {
     assert_eq!(expected.len(), BUILT_IN.len(), "an expectation of a board that is not built in");
 }
 
-/// Compares the motor pads with ArduPilot's `hwdef.dat`: a second source, from which the files were not written.
+/// Compares the motor pads with ArduPilot's `hwdef.dat`. It is a second source, because the board files were not
+/// written from it.
 #[test]
 fn motor_pads_match_ardupilot() {
     let expected = [
@@ -203,7 +204,7 @@ fn each_dma_stream_is_assigned_once() {
     assert_eq!(numbers(&[flexible.clone(), request("b", &[(1, 1)])]), Ok(vec![(1, 7), (1, 1)]));
     let both = [request("SPI3 receive", &[(1, 2)]), request("TIM3 update", &[(1, 2)])];
     assert_eq!(numbers(&both), Err("SPI3 receive and TIM3 update need the same DMA1 stream 2".into()));
-    // All motor timers at once, with the IMU.
+    // All motor timers are used at once, with the IMU.
     let all: Vec<chip::StreamRequest> = chip::spi1_requests()
         .into_iter()
         .chain(chip::timers().into_iter().map(chip::timer_request))

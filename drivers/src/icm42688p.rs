@@ -145,7 +145,7 @@ pub fn decode(frame: &Frame, risen: bool) -> Result<ImuSample, FrameError> {
     if status & RESET_DONE_INT != 0 {
         return Err(FrameError::Reset);
     }
-    // The accelerometer's registers, then the gyroscope's, most significant byte first.
+    // The accelerometer's registers come first, then the gyroscope's, most significant byte first.
     let axis = |n: usize| i16::from_be_bytes([answer[2 * n], answer[2 * n + 1]]);
     let sample = ImuSample { accel: [axis(0), axis(1), axis(2)], gyro: [axis(3), axis(4), axis(5)] };
     if sample.accel.iter().chain(&sample.gyro).any(|&counts| counts < LOWEST_VALID) {
@@ -203,7 +203,7 @@ impl<SPI: SpiDevice> Icm42688p<SPI> {
 mod tests {
     use super::*;
 
-    /// Accelerometer 1, −2, 32,767; gyroscope −32,766, 300, −1; new sample.
+    /// The frame has the accelerometer counts 1, −2, 32,767, the gyroscope counts −32,766, 300, −1, and a new sample.
     const FRAME: Frame = [0x5a, 0, 1, 0xff, 0xfe, 0x7f, 0xff, 0x80, 0x02, 1, 0x2c, 0xff, 0xff, 0, 0, 0x08];
 
     fn with(changes: &[(usize, u8)]) -> Frame {

@@ -45,7 +45,7 @@ const DOR: u8 = 0x04;
 const MEASURING: u8 = 0b00_01_10_01;
 
 const SETTINGS: [(u8, u8); 2] = [
-    // The only value that the datasheet recommends (9.2.5).
+    // This is the only value that the datasheet recommends (9.2.5).
     (SET_RESET_PERIOD, 0x01),
     // Last, because it starts the chip.
     (CONTROL_1, MEASURING),

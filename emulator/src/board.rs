@@ -176,8 +176,8 @@ impl Wiring {
     }
 }
 
-/// Value of a count of the boards' chips: the ICM-42688-P at ±2,000 °/s and ±16 g (DS-000347, tables 1 and 2), rad/s and
-/// m/s²; the QMC5883L at ±8 G (its data sheet, table 2), µT.
+/// The values of one count of the chips on the boards: the ICM-42688-P at ±2,000 °/s and ±16 g (DS-000347, tables 1 and
+/// 2), rad/s and m/s²; the QMC5883L at ±8 G (its data sheet, table 2), µT.
 const PER_COUNT: [(&str, f64); 3] = [
     ("gyroscope", 2_000.0 / 32_768.0 * std::f64::consts::PI / 180.0),
     ("accelerometer", 16.0 / 32_768.0 * 9.806_65),

@@ -51,7 +51,7 @@ pub enum Fault {
     ReadUnmapped(&'static str),
     /// The first instruction of a function is restored after [`Fault::Hang`] or [`Fault::Undefined`].
     Restored(&'static str),
-    /// Bit `1` of all words in RAM that point to the symbol `0` is flipped.
+    /// In all words in RAM that point to the named symbol, the bit with this number is flipped.
     FlippedPointer(&'static str, u8),
 }
 
@@ -98,7 +98,7 @@ impl ActiveFaults {
     /// Applies a fault.
     ///
     /// # Panics
-    /// The image does not have the function or variable: the test would test nothing.
+    /// Panics if the image does not have the function or variable, because the test would then test nothing.
     pub fn apply(&mut self, fault: Fault, machine: &mut Machine, host: &mut dyn Host, now: VirtualNanos) {
         match fault {
             Fault::ImuDead(dead) => machine.imu().faults.dead = dead,

@@ -178,7 +178,7 @@ pub fn fly(
         rules: Rules::new(settings.wiring.clone()),
         runs_wild: false,
         arms_by_ns: match &scene.pilot {
-            // 2 s for the stick gesture and the checks.
+            // The stick gesture and the checks take 2 s.
             Some(pilot) if settings.fail_fast => ((pilot.plan.arm_at_s + 2.0) * 1e9) as u64,
             _ => u64::MAX,
         },

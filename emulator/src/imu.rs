@@ -60,9 +60,9 @@ pub struct Imu {
     reset_requested: bool,
     phase: Phase,
     bank: u8,
-    /// INT_CONFIG, INT_CONFIG1, INT_SOURCE0, as written.
+    /// The registers INT_CONFIG, INT_CONFIG1 and INT_SOURCE0, as the firmware wrote them.
     int_config: [u8; 3],
-    /// PWR_MGMT0, GYRO_CONFIG0, ACCEL_CONFIG0, as written.
+    /// The registers PWR_MGMT0, GYRO_CONFIG0 and ACCEL_CONFIG0, as the firmware wrote them.
     rate_config: [u8; 3],
     /// Start of the output data rate, and its period, ns.
     grid: Option<(u64, u64)>,
@@ -72,7 +72,7 @@ pub struct Imu {
     /// Whether the last sample was not taken: the registers still hold the sample before it.
     skipped: bool,
     int1: bool,
-    /// Counts that the model's registers can't hold as a valid sample; they are read in place of the registers.
+    /// Counts that the model's registers cannot hold as a valid sample; they are read in place of the registers.
     raw: Option<[i16; 6]>,
     words: u32,
 }
@@ -208,7 +208,7 @@ impl Imu {
     fn set_rate_register(&mut self, n: usize, value: u8, context: &mut Timeline<'_, '_>) {
         self.rate_config[n] = value;
         let [power, gyro, accel] = self.rate_config;
-        // Low-noise mode and the common rates only (14.36 to 14.38), because the driver uses no others.
+        // Only low-noise mode and the common rates are modelled (14.36 to 14.38), because the driver uses no others.
         let period = |code: u8| match code & 0x0f {
             3 => Some(125_000),
             4 => Some(250_000),

@@ -38,7 +38,8 @@ pub struct Rules {
     pending: BTreeMap<String, u32>,
     /// Broken rules, with the time of the violation, s.
     broken: BTreeMap<String, f64>,
-    /// Streams of both controllers that were enabled at the last access since the last reset, a bit each.
+    /// The DMA streams of both controllers that were enabled at the last access, one bit for each. A reset clears the
+    /// bits.
     streams_on: u32,
     resets: usize,
 }
@@ -79,9 +80,9 @@ impl Rules {
 
     /// Checks the DMA streams after an access to a register of a DMA controller; `written` says whether it was a write.
     ///
-    /// Three rules: when a stream is enabled, it has no flag of an earlier transfer (RM0090, 10.3.17, "before setting EN").
-    /// Its count and addresses are not written while it is enabled (10.5.6 to 10.5.8). The IMU's streams have the
-    /// highest priority of their controller.
+    /// Checks three rules. A stream has no flag of an earlier transfer when it is enabled (RM0090, 10.3.17, "before
+    /// setting EN"). Its count and addresses are not written while it is enabled (10.5.6 to 10.5.8). The IMU's streams
+    /// have the highest priority of their controller.
     pub fn on_dma_access(&mut self, machine: &Machine, address: u64, written: bool, now_s: f64) {
         use dma2::Register::{Hisr, Lisr, S0cr, S1cr, S2cr, S3cr, S4cr, S5cr, S6cr, S7cr};
         const CONTROLS: [dma2::Register; 8] = [S0cr, S1cr, S2cr, S3cr, S4cr, S5cr, S6cr, S7cr];
@@ -209,7 +210,7 @@ fn magnetometer_bus(machine: &Machine, wiring: &Wiring) -> Vec<String> {
     if rate_hz.abs_diff(wiring.magnetometer_hz) * 20 > wiring.magnetometer_hz {
         broken.push(format!("{instance}: bit rate is {rate_hz} Hz, must be {} Hz", wiring.magnetometer_hz));
     }
-    // Rise times up to 300 ns in fast mode, 1,000 ns in standard mode (UM10204, table 10).
+    // The rise time is at most 300 ns in fast mode and 1,000 ns in standard mode (UM10204, table 10).
     let rise = APB1_HZ / 1_000_000 * if fast { 300 } else { 1_000 } / 1_000 + 1;
     if i2c3::trise::TRISE.get(get(i2c3::Register::Trise)) != rise {
         broken.push(format!("{instance}.TRISE: must be the bus's rise time, {rise}"));

@@ -126,10 +126,11 @@ impl Decoder {
     /// Decodes the next bytes, and returns the lines that they complete. A frame that cannot be decoded gives a line with
     /// this message.
     ///
-    /// The firmware's time has 32 bits, so it wraps after 71.6 minutes. A time that is more than half of this before the last
-    /// time is a wrap. A time that is less before the last time is not changed: the firmware was reset, or the line of an
-    /// interrupt came first. If the first time is in the last second before the wrap, it is a time before zero and is
-    /// returned as zero: with the time of a flight as its clock, the firmware starts shortly before zero.
+    /// The firmware's time has 32 bits, so it wraps after 71.6 minutes. If a time is earlier than the last one by more
+    /// than half of this, the counter has wrapped. If it is earlier by less, it is not changed, because the firmware
+    /// was reset, or the line of an interrupt came first. If the first time is in the last second before the wrap, it
+    /// is a time before zero and is returned as zero: with the time of a flight as its clock, the firmware starts
+    /// shortly before zero.
     pub fn push(&mut self, bytes: &[u8]) -> Vec<Line> {
         self.unread.extend_from_slice(bytes);
         let end = match self.unread.iter().rposition(|&byte| byte == 0) {

@@ -227,7 +227,7 @@ mod tests {
         };
         assert!(error(with(0, 0)).contains("number of channels"));
         assert!(error(with(3, 0xffff_fff8)).contains("ring address"));
-        // No memory at the address, or too little after it.
+        // There is no memory at the address, or too little after it.
         let mut block_at_the_end = ram(16, 7, 3);
         for address in [0, RAM + 0x1f0, u32::MAX - 8] {
             assert!(matches!(drain(&mut block_at_the_end, address), Err(RttError::Memory { .. })));
@@ -238,7 +238,7 @@ mod tests {
         #[test]
         fn any_control_block_gives_bytes_or_an_error(words: [u32; 8], fields: [u8; 4]) {
             let mut ram = ram(64, 0, 0);
-            // Random numbers in some fields, plausible ones in others.
+            // Some fields have random numbers, others plausible ones.
             for (n, field) in fields.into_iter().enumerate() {
                 let at = BLOCK + 16 + 4 * u32::from(field % 8);
                 ram.write_u32(at, if n % 2 == 0 { words[n] } else { words[n] % 96 }).unwrap();

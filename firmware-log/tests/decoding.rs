@@ -130,7 +130,7 @@ proptest! {
         let mut decoder = Decoder::new(&image(&MESSAGES, &MARKS)).unwrap();
         for piece in &pieces {
             decoder.push(piece);
-            // The same bytes as arguments of a known message.
+            // The same bytes are also the arguments of a known message.
             let arguments: Vec<u8> = piece.iter().flat_map(|&byte| [byte, 0]).collect();
             decoder.push(&frame(u16::from(index), 0, &arguments));
         }

@@ -44,7 +44,7 @@ impl<B: I2c + Clone> Magnetometer<B> {
                 COUNTERS.mag.add();
                 Some(sample)
             }
-            // The field exceeds the range: the sensor itself works.
+            // The field exceeds the range, but the sensor works.
             Err(SampleError::Overflow) => {
                 COUNTERS.mag_errors.add();
                 None

@@ -118,7 +118,7 @@ pub const FLIGHT: u32 = 2_500;
 
 /// Returns the slot's IMU sample, whether it arrives or not.
 pub fn imu(slot: u32) -> ImuSample {
-    // In counts of the chip: 16.4 per °/s, 2,048 per g.
+    // These are counts of the chip: 16.4 per °/s, 2,048 per g.
     let (turn, shake) = if slot < FLIGHT { (0, 8) } else { (3_000, 60) };
     let t = slot.saturating_sub(FLIGHT);
     let noise = |channel| jitter(slot, channel, shake);
@@ -138,7 +138,7 @@ pub fn imu(slot: u32) -> ImuSample {
 
 /// Returns the slot's magnetometer sample, whether it is delivered or not.
 pub fn mag(slot: u32) -> MagSample {
-    // At 30 counts per µT: about 25 µT forward and 41 µT down, with a small rotation.
+    // At 30 counts per µT, the field is about 25 µT forward and 41 µT down, with a small rotation.
     let noise = |channel| jitter(slot, channel, 9);
     let t = slot.saturating_sub(FLIGHT);
     MagSample { counts: [750 + noise(6), triangle(t, 2_100, 300) + noise(7), 1_230 + noise(8)] }

@@ -87,8 +87,8 @@ mod tests {
             prop_assert!(monitor.low() && !monitor.critical());
             let mut now_us = 0_u64;
             let mut last: Option<(u64, f32)> = None;
-            // Start of the present unbroken time with a known, critical voltage. `latched`: such a time was long
-            // enough.
+            // `since_us` is the start of the present unbroken time with a known, critical voltage. `latched` is true if
+            // such a time was long enough.
             let (mut since_us, mut latched) = (None, false);
             for (measured, flying, dt_us) in past {
                 let before_us = now_us;

@@ -19,8 +19,8 @@ pub struct BenchParams {
 }
 
 impl BenchParams {
-    /// 10 s, and a tenth of the maximum thrust: one rotor of a vehicle with a thrust-to-weight ratio of 2 then lifts
-    /// 5 % of the weight.
+    /// 10 s, and a tenth of the maximum thrust. With this thrust one rotor of a vehicle with a thrust-to-weight ratio
+    /// of 2 lifts 5 % of the weight.
     pub const STANDARD: Self = Self { max_thrust: 0.1, max_s: 10.0 };
 
     pub(crate) fn validate(&self) -> Result<(), ConfigError> {

@@ -230,7 +230,9 @@ mod tests {
                 Err(error) => prop_assert!(!(error.value >= error.minimum && error.value <= error.maximum), "{}", error),
                 Ok(model) => {
                     let read = model.apply(counts);
-                    // Row of length 2 at most, rotation, 32,768 counts on each of three axes; three biases of 10⁶.
+                    // A row of the matrix has a length of at most 2. 32,768 counts on each of three axes are a vector
+                    // of at most 57,000 counts, whose length the mounting does not change. Three biases of 10⁶ are a
+                    // vector of at most 1.75e6.
                     let max = 2.0 * (per_count * 57_000.0 + 1.75e6);
                     prop_assert!(read.x.abs() <= max && read.y.abs() <= max && read.z.abs() <= max, "{:?}", read);
                 }
@@ -253,7 +255,7 @@ mod tests {
 
     const TURNED: Sensitivity = Sensitivity {
         per_count: 0.01,
-        // x of the chip points right, y backward: a board mounted 90° clockwise.
+        // The chip's x points right and its y backward: the board is mounted with a rotation of 90° clockwise.
         mounting: Mat3 { rows: [vec3(0.0, -1.0, 0.0), vec3(1.0, 0.0, 0.0), vec3(0.0, 0.0, 1.0)] },
     };
 

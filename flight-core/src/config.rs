@@ -38,7 +38,7 @@ pub struct Params {
     pub accel: Sensitivity,
     /// Sensitivity and mounting of the magnetometer, µT per count.
     pub mag: Sensitivity,
-    /// Cutoff of the Butterworth prefilter on all nine axes, Hz. `None`: no prefilter.
+    /// Cutoff of the Butterworth prefilter on all nine axes, Hz; `None` for no prefilter.
     pub prefilter_cutoff_hz: Option<f32>,
     /// Attitude estimator.
     pub estimator: EstimatorParams,
@@ -75,17 +75,18 @@ pub struct DescentParams {
 }
 
 impl DescentParams {
-    /// OS4 hovers at a throttle of 0.650 kg · 9.807 m/s² / (4 · 3.13e-5 N s² · 319² rad²/s²) = 0.500. At 95 % of
-    /// that, 5 % of the weight acts against the drag: 0.32 N over 0.25 kg/s gives a sink rate of 1.3 m/s. A descent
+    /// OS4 hovers at a throttle of 0.650 kg · 9.807 m/s² / (4 · 3.13e-5 N s² · 319² rad²/s²) = 0.500. At 95 % of that,
+    /// 5 % of the weight acts against the drag. 0.32 N divided by 0.25 kg/s gives a sink rate of 1.3 m/s. A descent
     /// from 38 m takes 30 s.
     pub const OS4: Self = Self { throttle: 0.475, seconds: 30.0 };
 }
 
-/// ±2,000 °/s over 16 bits: 16.4 LSB/(°/s) (ICM-42688-P datasheet DS-000347, table 1).
+/// The range of ±2,000 °/s has 16 bits, so the sensitivity is 16.4 LSB/(°/s) (ICM-42688-P datasheet DS-000347, table
+/// 1).
 const ICM_42688_GYRO_RAD_S: f32 = (core::f64::consts::PI / 180.0 / 16.4) as f32;
-/// ±16 g over 16 bits: 2,048 LSB/g (ICM-42688-P datasheet DS-000347, table 2).
+/// The range of ±16 g has 16 bits, so the sensitivity is 2,048 LSB/g (ICM-42688-P datasheet DS-000347, table 2).
 const ICM_42688_ACCEL_M_S2: f32 = STANDARD_GRAVITY / 2048.0;
-/// ±8 G over 16 bits: 3,000 LSB/G (QMC5883L datasheet, table 2); 1 G is 100 µT.
+/// The range is ±8 G in 16 bits, and the sensitivity is 3,000 LSB/G (QMC5883L datasheet, table 2); 1 G is 100 µT.
 const QMC5883L_MAG_UT: f32 = 100.0 / 3000.0;
 
 impl Default for Params {
@@ -106,7 +107,7 @@ impl Default for Params {
             channels: ChannelMap::AETR,
             arm_by: ArmBy::Sticks,
             stuck_check: StuckCheck { gyro: true, accel: true },
-            // 3 cells, at 3.5 V and at 3.0 V each.
+            // The battery has 3 cells, with limits of 3.5 V and 3.0 V a cell.
             min_arm_voltage_v: 10.5,
             critical_voltage_v: 9.0,
             descent: DescentParams::OS4,

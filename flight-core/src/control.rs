@@ -264,9 +264,10 @@ impl Controller {
                 return rates;
             }
         };
-        // A body rate ω moves the direction of down in body axes at −ω × down, so ω ∝ wanted × down reduces the angle
-        // a between them. |wanted × down| is sin a; divided by (1 + cos a)/2 it is 2 tan(a/2). This is a for small
-        // angles and still rises where sin a falls.
+        // A body rate `ω` moves the direction of down in body axes at `−ω × down`. So a rate along `wanted × down`
+        // reduces the angle `a` between `wanted` and `down`. The length of `wanted × down` is `sin a`, which falls
+        // above 90°: the larger the error, the slower the vehicle would turn back. Divided by `(1 + cos a)/2` the
+        // length is `2 tan(a/2)`, which rises up to 180° and nearly equals `a` for small angles.
         let axis = wanted.cross(down);
         let one_plus_cos = 1.0 + wanted.dot(down);
         let error = if one_plus_cos > 1.0e-3 {
@@ -290,7 +291,7 @@ impl Controller {
                 p.max_yaw_rate_rad_s,
             ),
         };
-        // The rotation about the vertical, in body axes.
+        // This is the rotation about the vertical, in body axes.
         tilt_rate + down * yaw_rate
     }
 }

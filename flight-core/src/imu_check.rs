@@ -7,8 +7,8 @@ use crate::sample::ImuSample;
 /// the data registers). A single axis with this value is at the end of its range.
 const INVALID: i16 = i16::MIN;
 
-/// Largest count of the range, and below it the smallest. The counts of the ICM-42688-P end at −32,766, because the
-/// two values below mark invalid data (the same section); the counts of a simulated converter end at −32,768.
+/// Largest count of the range; [`LOWEST`] is the smallest. The counts of the ICM-42688-P end at −32,766, because the
+/// two smaller values mark invalid data (the same section); the counts of a simulated converter end at −32,768.
 const HIGHEST: i16 = i16::MAX;
 const LOWEST: i16 = -32_766;
 
@@ -20,10 +20,10 @@ const MIN_STUCK_CHECKS: f32 = 50.0;
 /// Selects the sensors that have enough noise to be checked: an axis of these that reads a constant value for long is
 /// stuck.
 ///
-/// A real chip has a noise of about one count or more. The gyroscope of the ICM-42688-P has 0.0028 °/s/√Hz, over
-/// 258 Hz 0.045 °/s rms, which is 0.74 counts. Two samples are equal with a probability of about 0.28 divided by the
-/// noise in counts, here 0.4; fifty equal pairs in succession have a probability of 10⁻²⁰, or 10⁻¹³ with half a count
-/// of noise. A simulated sensor without noise may read a constant value for ever, so it is not checked.
+/// A real chip has a noise of about one count or more. The gyroscope of the ICM-42688-P has 0.0028 °/s/√Hz. In its band
+/// of 258 Hz this is 0.045 °/s rms, or 0.74 counts. Two samples are equal with a probability of about 0.28 divided by
+/// the noise in counts, here 0.4; fifty equal pairs in succession have a probability of 10⁻²⁰, or 10⁻¹³ with half a
+/// count of noise. A simulated sensor without noise may read a constant value for ever, so it is not checked.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct StuckCheck {

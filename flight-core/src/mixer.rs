@@ -46,19 +46,19 @@ impl Spin {
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct Airframe {
-    /// b, N·s²: the thrust of a rotor is b Ω². 10⁻⁹ to 1.
+    /// Thrust coefficient b, N·s²: 10⁻⁹ to 1. The thrust of a rotor is b Ω².
     pub thrust_coefficient: f32,
-    /// d, N·m·s²: the reaction torque of a rotor is d Ω². 10⁻¹¹ to 1.
+    /// Torque coefficient d, N·m·s²: 10⁻¹¹ to 1. The reaction torque of a rotor is d Ω².
     pub torque_coefficient: f32,
-    /// f, m: distance of the front rotors forward of the centre of gravity, and of the rear rotors behind it. 0.005
+    /// Distance f of the front rotors forward of the centre of gravity, and of the rear rotors behind it, m: 0.005
     /// to 10.
     pub forward_m: f32,
-    /// r, m: distance of the right rotors to the right of the centre of gravity, and of the left rotors to the left.
+    /// Distance r of the right rotors to the right of the centre of gravity, and of the left rotors to its left, m:
     /// 0.005 to 10.
     pub right_m: f32,
     /// Direction of rotation.
     pub spin: Spin,
-    /// I_xx, I_yy, I_zz, kg·m²: 10⁻⁹ to 10⁶.
+    /// Moments of inertia I_xx, I_yy, I_zz, kg·m²: 10⁻⁹ to 10⁶.
     pub inertia_kg_m2: Vec3<f32>,
     /// Idle speed, the slowest speed of an armed rotor, rad/s: 0 to half of `max_rad_s`.
     pub idle_rad_s: f32,
@@ -199,7 +199,8 @@ impl Mixer {
         }
     }
 
-    /// Returns the speeds of squared speeds, rad/s. A negative square, which rounding can give, and NaN give zero.
+    /// Returns the square roots of squared speeds, rad/s. A negative square, which rounding can give, and NaN give
+    /// zero.
     #[inline]
     pub fn speeds(squares: [f32; 4]) -> [f32; 4] {
         squares.map(|s| sqrt(max(s, 0.0)))
@@ -319,8 +320,8 @@ mod tests {
             }
         }
 
-        /// An independent way to the same result: bisection on the share of yaw, with the range checked for each
-        /// rotor.
+        /// Finds the same result in an independent way, by bisection on the share of yaw, with the range checked for
+        /// each rotor.
         #[test]
         fn yaw_is_reduced_no_more_than_needed(x in -1.0_f32..1.0, y in -1.0_f32..1.0, z in -0.5_f32..0.5) {
             let mixer = mixer();
@@ -490,10 +491,10 @@ mod tests {
         // Full thrust and full roll: the collective is reduced, the roll is kept.
         let (squares, saturation) = mixer.mix(&wrench(12.7, 0.5 * MAX_TILT_TORQUE, 0.0, 0.0));
         assert!((paper(squares)[1] - 0.52).abs() < 1e-4 && !saturation.roll_pitch);
-        // No thrust and full yaw: the collective rises.
+        // With no thrust and full yaw, the collective thrust rises.
         let (squares, _) = mixer.mix(&wrench(0.0, 0.0, 0.0, 0.5 * MAX_YAW_TORQUE));
         assert!(paper(squares)[0] > 3.0);
-        // Hover: four equal rotors at 225.7 rad/s.
+        // In hover, the four rotors have an equal speed of 225.7 rad/s.
         let (squares, _) = mixer.mix(&wrench(0.65 * 9.80665, 0.0, 0.0, 0.0));
         for speed in Mixer::speeds(squares) {
             assert!((speed - 225.7).abs() < 0.1, "{speed}");
@@ -502,7 +503,8 @@ mod tests {
 
     #[test]
     fn rotor_positions_and_spins_give_the_signs() {
-        // From the geometry alone: cross products of lever arm and thrust, and reaction torques of the rotors.
+        // The expected values are from the geometry alone: cross products of lever arm and thrust, and reaction
+        // torques of the rotors.
         let rotors = [(1.0, -1.0, 1.0), (1.0, 1.0, -1.0), (-1.0, 1.0, 1.0), (-1.0, -1.0, -1.0)];
         for (spin, turned) in [(Spin::PropsOut, 1.0), (Spin::PropsIn, -1.0)] {
             let airframe = Airframe { forward_m: 0.1, right_m: 0.2, spin, ..Airframe::OS4 };

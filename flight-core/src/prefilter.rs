@@ -198,7 +198,7 @@ mod tests {
             let ours = Biquad::butterworth(cutoff, rate).unwrap();
             let fed = [ours.b0, 2.0 * ours.b0, ours.b0];
             for (ours, theirs) in fed.into_iter().zip(b).chain(ours.a.into_iter().zip(a)) {
-                // The rounding of the result to f32, plus the rounding of the cutoff to f32.
+                // The bound is the rounding of the result to f32, plus that of the cutoff to f32.
                 assert!(
                     (f64::from(ours) - theirs).abs() <= 1.5e-7 * theirs.abs(),
                     "{cutoff} Hz at {rate} Hz"
@@ -287,14 +287,14 @@ mod tests {
             let [a1, a2] = c.a.map(f64::from);
             let b0 = f64::from(c.b0);
             let squared = at_circle(b0, 2.0 * b0, b0) / at_circle(1.0, a1, a2);
-            // The error from rounding the coefficients: 1 % at the ends of the range, as `MAX_RATE_PER_CUTOFF`
-            // documents, doubled by the square.
+            // Rounding of the coefficients causes an error of 1 % at the ends of the range, as
+            // `MAX_RATE_PER_CUTOFF` documents. The square doubles it.
             prop_assert!((squared - 1.0 / (1.0 + wanted)).abs() < 0.025, "{}", squared);
             // A pole outside the unit circle would be a growing oscillation.
             prop_assert!(a2.abs() < 1.0 && a1.abs() < 1.0 + a2);
         }
 
-        /// Equal to a second form of the same filter: direct form I in f64, which stores inputs and outputs.
+        /// The filter equals a second form of itself, direct form I in f64, which stores inputs and outputs.
         #[test]
         fn section_equals_the_difference_equation(
             (cutoff_hz, rate_hz) in design(), start in -1000.0..1000.0_f32, x in prop::collection::vec(-1000.0..1000.0_f32, 1..100),

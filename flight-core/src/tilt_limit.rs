@@ -65,8 +65,8 @@ mod tests {
             prop_assert!((limit - (both + 20.0_f64.to_radians()).cos()).abs() < 4e-6);
         }
 
-        /// A second count, in half microseconds and without saturation. A NaN tilt does not count as beyond the
-        /// limit; the filters return none.
+        /// Compares the count with a second one, in half microseconds and without saturation. A NaN tilt does not count
+        /// as beyond the limit; the filters return none.
         #[test]
         fn time_below_the_limit_counts_back_at_half_speed(
             past in prop::collection::vec((

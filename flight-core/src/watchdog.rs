@@ -109,8 +109,8 @@ mod tests {
     use proptest::prelude::*;
 
     proptest! {
-        /// For any clock, also one that jumps: a task is late if its last check-in is older than allowed, or if it
-        /// has missed a deadline since the last check.
+        /// This holds for any clock, also one that jumps: a task is late if its last check-in is older than allowed, or
+        /// if it has missed a deadline since the last check.
         #[test]
         fn late_tasks_follow_from_the_history(
             times in prop::collection::vec((

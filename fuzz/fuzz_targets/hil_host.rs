@@ -52,7 +52,7 @@ impl Firmware<'_> {
 
     fn done(&mut self) -> Done {
         let kind = self.script.u8();
-        // Mostly what a firmware answers, sometimes anything.
+        // Most messages are what a firmware answers; some are anything.
         let mut number = |usual: f32| if kind & 1 == 0 { usual } else { self.script.f32() };
         let (pulses_us, attitude) = ([(); 4].map(|()| number(1_400.0)), [1.0, 0.0, 0.0, 0.0].map(number));
         Done {

@@ -7,7 +7,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::VERSION;
 
-/// The CRC with a table of 16 entries: a fourth of the speed of a table with 256 entries, and a sixteenth of its flash.
+/// The CRC with a table of 16 entries. It has a fourth of the speed of a table with 256 entries, and needs a sixteenth
+/// of its flash.
 const CRC: Crc<u32, Table<1>> = Crc::<u32, Table<1>>::new(&CRC_32_ISO_HDLC);
 
 /// Length of version (1), length (2) and sequence number (4), bytes.

@@ -71,7 +71,8 @@ fn packet_has_the_documented_layout() {
     // (Python: `hex(zlib.crc32(bytes([1, 1, 0, 2, 1, 0, 0, 2])))` is 0x4b32a1e7), then COBS by hand.
     let mut packet = std::vec![1, 1, 0, 2, 1, 0, 0, 2];
     let crc = {
-        // Bit by bit, as in the standard: reflected, polynomial 0xEDB88320, inverted at both ends.
+        // This computes the checksum bit by bit, as in the standard: reflected, polynomial 0xEDB88320, inverted
+        // at both ends.
         !packet.iter().fold(u32::MAX, |crc, byte| {
             (0..8).fold(
                 crc ^ u32::from(*byte),
@@ -157,7 +158,7 @@ proptest! {
     #[test]
     fn truncated_frame_gives_an_error_or_nothing(cut in 0_usize..60) {
         let good = frame(1, &ToBoard::Step(step()));
-        // Without only the final zero, the frame would be complete.
+        // Cut at least one byte more than the final zero, because a frame that lacks only this zero would be complete.
         let cut = cut.min(good.len() - 2);
         let found = decode::<ToBoard>(&[&good[..cut], &[0]].concat());
         prop_assert!(found.iter().all(Result::is_err), "cut at {cut}");

@@ -118,7 +118,7 @@ impl NormalStream {
     #[cold]
     fn draw_outside(&mut self, layer: usize, x: f64) -> Option<f64> {
         if layer == 0 {
-            // A draw from the tail beyond R (Marsaglia 1964).
+            // This draws from the tail beyond R (Marsaglia 1964).
             loop {
                 let away = -libm::log(uniform(&mut self.generator)) / R;
                 let y = -libm::log(uniform(&mut self.generator));
@@ -184,7 +184,7 @@ mod tests {
             }
         }
         let n = f64::from(n);
-        // The bounds are five standard errors: √(1, 2, 15, 96)/√n.
+        // The bounds are five standard errors. Those of the four moments are √1/√n, √2/√n, √15/√n and √96/√n.
         for (got, (want, variance)) in
             moments.iter().zip([(0.0, 1.0), (1.0, 2.0), (0.0, 15.0), (3.0, 96.0_f64)])
         {

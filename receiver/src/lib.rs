@@ -3,7 +3,7 @@
 //! | | SBUS | CRSF (TBS Crossfire, ExpressLRS) |
 //! |---|---|---|
 //! | line | 100,000 baud, 8E2, inverted | 420,000 baud, 8N1 |
-//! | frame | 25 bytes of 120 µs: 3 ms | up to 64 bytes of 24 µs; channels are 26: 0.6 ms |
+//! | frame | 25 bytes of 120 µs, together 3 ms | up to 64 bytes of 24 µs; a frame with channels has 26, together 0.6 ms |
 //! | sent every | 7 to 14 ms | 1 to 40 ms |
 //! | begins with | 0x0F after a pause | address 0xC8, length |
 //! | is checked by | parity; flags and footer | CRC-8/DVB-S2 |

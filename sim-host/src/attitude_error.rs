@@ -112,7 +112,7 @@ mod tests {
         let vertical = about([0.0, 0.0, 1.0], -0.2);
         assert_close(AttitudeError::between(vertical * TRUTH, TRUTH), [0.2, 0.2, 0.0]);
         assert_close(AttitudeError::between(level * TRUTH, TRUTH), [0.3, 0.0, 0.3]);
-        // Both rotations, one after the other: cos(total/2) = cos(heading/2) cos(inclination/2).
+        // For both rotations, one after the other, cos(total/2) = cos(heading/2) cos(inclination/2).
         let total = 2.0 * libm::acos(libm::cos(0.1) * libm::cos(0.15));
         assert_close(AttitudeError::between(vertical * level * TRUTH, TRUTH), [total, 0.2, 0.3]);
         assert_close(AttitudeError::between(level * vertical * TRUTH, TRUTH), [total, 0.2, 0.3]);

@@ -129,7 +129,7 @@ pub fn heading(name: &str, description: &str) -> String {
 /// Prints an answer on standard output, or an error on standard error, and returns the exit code.
 pub fn conclude(answer: Result<Answer, InputError>, json: bool) -> ExitCode {
     let printed = answer.and_then(|answer| {
-        // Names and descriptions come from files: replaces control characters, which could change the terminal.
+        // Names and descriptions come from files. Replace their control characters, which could change the terminal.
         let shown = |text: String| text.replace(|c: char| is_control(c) && c != '\n', "\u{FFFD}");
         let line = if json { answer.json.to_string() } else { shown(answer.text) };
         output_file::print(line.trim_end())?;

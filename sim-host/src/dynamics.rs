@@ -37,7 +37,7 @@ pub use crate::state::State;
 pub enum Mount {
     /// Free, above a ground plane.
     Free(Ground),
-    /// The centre of gravity is fixed and the body turns about it: a test stand.
+    /// A test stand: the centre of gravity is fixed, and the body turns about it.
     BallJoint,
 }
 

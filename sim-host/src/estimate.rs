@@ -1,9 +1,9 @@
 //! The command `estimate`: runs the flight code's estimators over a log and compares them with its reference attitude.
 //!
-//! The estimators get the same input as in flight: f32, time in whole microseconds, the magnetometer only in rows with a
-//! new sample. The prefilter is off unless the request has a cutoff. The first sample sets the attitude, and the declination
-//! is 0. For `flight` the gyroscope is zeroed, as before arming: from the start of the log to the first motion. The other
-//! estimators use the gyroscope uncorrected, as the paper does.
+//! The estimators get the same input as in flight: f32, time in whole microseconds, the magnetometer only in rows with
+//! a new sample. The prefilter is off unless the request has a cutoff. The first sample sets the attitude, and the
+//! declination is 0. For the estimator `flight` the gyroscope is zeroed, as before arming: from the start of the log to
+//! the first motion. The other estimators use the gyroscope uncorrected, as the paper does.
 //!
 //! The errors are computed in f64 ([`AttitudeError`]) over the moving rows that have a reference.
 
@@ -33,7 +33,7 @@ pub struct Request {
     pub axes: Axes,
     /// Names of presets ([`EstimatorParams::PRESETS`]); empty means all of them.
     pub estimators: Vec<String>,
-    /// Cutoff of the Butterworth prefilter on every axis of every sensor, Hz; `None`: no prefilter.
+    /// Cutoff of the Butterworth prefilter on every axis of every sensor, Hz; `None` for no prefilter.
     pub prefilter_hz: Option<f64>,
     /// File for the estimated attitude and its error of each row.
     pub out: Option<PathBuf>,
@@ -47,7 +47,7 @@ pub struct Report {
     /// Rows of the log.
     #[serde(skip)]
     pub rows: usize,
-    /// Rows that count in the errors: moving, with a reference.
+    /// Number of rows that count in the errors: those with motion and with a reference.
     #[serde(skip)]
     pub scored_rows: u64,
 }
@@ -345,7 +345,7 @@ mod tests {
     use super::*;
     use crate::log::{LogRow, LogWriter};
 
-    /// Gyroscope bias about x in the test log, rad/s.
+    /// Gyroscope bias about x in the log of these tests, rad/s.
     const BIAS: f64 = 0.01;
 
     /// Returns a log of a level vehicle that faces east and turns right at 10°/s from 4 s to 13 s.
@@ -361,7 +361,7 @@ mod tests {
                     time_s,
                     gyro_rad_s: [BIAS, 0.0, rate],
                     accel_m_s2: [0.0, 0.0, -9.806_65],
-                    // In every fifth row: magnetometers are slower.
+                    // The magnetometer has a value in every fifth row only, because magnetometers are slower.
                     mag_ut: (k % 5 == 0).then(|| [north * libm::cos(yaw), -north * libm::sin(yaw), down]),
                     reference: Some([libm::cos(0.5 * yaw), 0.0, 0.0, libm::sin(0.5 * yaw)]),
                     moving: time_s >= 4.0,

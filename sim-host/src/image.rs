@@ -94,7 +94,7 @@ pub fn build(folder: &str, option: &str, set_up: impl FnOnce(&mut Command)) -> R
     let mut cargo = Command::new(env::var_os("CARGO").as_deref().unwrap_or(OsStr::new("cargo")));
     cargo
         .current_dir(workspace)
-        // As the alias flash-fw of .cargo/config.toml, with `build` instead of `run`.
+        // The build is that of the alias flash-fw in .cargo/config.toml, with `build` instead of `run`.
         .args(["build", "--profile", "flash", "--package", "firmware", "--target", TARGET, "--target-dir"])
         .arg(&target)
         // These would replace the link arguments of .cargo/config.toml.

@@ -70,8 +70,8 @@ impl OutputFile {
         finish_all([self])
     }
 
-    /// Writes everything to the disk. The content comes before the name: after a power cut the path must not name an empty
-    /// file.
+    /// Writes everything to the disk before the file gets its name. Otherwise the path could name an empty file after a
+    /// power cut.
     fn write_to_disk(&mut self) -> io::Result<()> {
         self.sink.flush()?;
         match self.sink.get_ref() {

@@ -1,8 +1,8 @@
 //! The simulated pilot, who sees the truth 0.2 s late and moves four sticks 50 times per second.
 //!
-//! The pilot arms with the sticks, or with the arm switch if the vehicle has one, takes off, holds a position, lands and
-//! disarms. A *script* moves named sticks at
-//! given times. The other sticks follow the base: the pilot who holds the position, or centred sticks for a stand.
+//! The pilot arms with the sticks, or with the arm switch if the vehicle has one, takes off, holds a position, lands
+//! and disarms. A *script* moves named sticks at given times. The other sticks follow the base: the pilot who holds the
+//! position, or centred sticks for a stand.
 
 use std::collections::VecDeque;
 
@@ -89,13 +89,13 @@ pub struct Move {
     pub at_s: f64,
     /// Duration, s.
     pub for_s: f64,
-    /// Throttle, 0 to 1; `None`: by the base.
+    /// Throttle, 0 to 1; `None` if the base determines it.
     pub throttle: Option<f64>,
-    /// Roll, −1 (left) to 1 (right); `None`: by the base.
+    /// Roll, −1 (left) to 1 (right); `None` if the base determines it.
     pub roll: Option<f64>,
-    /// Pitch, −1 (back, nose up) to 1 (forward, nose down); `None`: by the base.
+    /// Pitch, −1 (back, nose up) to 1 (forward, nose down); `None` if the base determines it.
     pub pitch: Option<f64>,
-    /// Yaw, −1 (anticlockwise from above) to 1; `None`: by the base.
+    /// Yaw, −1 (anticlockwise from above) to 1; `None` if the base determines it.
     pub yaw: Option<f64>,
     /// Position of the mode switch. In rate mode, roll, pitch and yaw that are not named are centred, because the base
     /// gives angles, not rates.
@@ -142,8 +142,8 @@ const HEIGHT_P: f64 = 1.4;
 /// Gain from climb rate error to acceleration, 1/s. With 0.2 s of reaction time and 0.05 s of motor lag, 2.4/s leaves a
 /// phase margin of 50°.
 const HEIGHT_D: f64 = 2.4;
-/// Gain from the integral of the height error to acceleration, 1/s³: against a battery that discharges, a payload, a
-/// downdraught.
+/// Gain from the integral of the height error to acceleration, 1/s³. The integral compensates a battery that
+/// discharges, a payload, or a downdraught.
 const HEIGHT_I: f64 = 0.3;
 /// Limit of the integral part, m/s²: a third of the weight.
 const MAX_INTEGRAL_M_S2: f64 = 3.0;
@@ -152,8 +152,8 @@ const MAX_INTEGRAL_M_S2: f64 = 3.0;
 const POSITION_P: f64 = 0.5;
 /// Gain from velocity to acceleration north and east, 1/s.
 const POSITION_D: f64 = 1.2;
-/// Gain from the integral of the position error to acceleration, 1/s³: against a steady wind or an error of the level
-/// attitude.
+/// Gain from the integral of the position error to acceleration, 1/s³. The integral compensates a steady wind or an
+/// error of the level attitude.
 const POSITION_I: f64 = 0.08;
 /// Limit of the tilt for holding a position, rad (20°).
 const MAX_HOLD_TILT_RAD: f64 = 0.35;
@@ -238,7 +238,7 @@ impl Pilot {
             return Sticks::LOW;
         }
         if let Some(since) = self.landed_at_s {
-            // Throttle down, half a second of pause, then the gesture.
+            // First the throttle is down, then there is a pause of half a second, then the gesture.
             return if t_s - since > 0.5 { Sticks::DISARM } else { Sticks::LOW };
         }
         if self.land_at_s.is_some_and(|at| t_s > at) && self.is_down(t_s, view) {
@@ -279,7 +279,7 @@ impl Pilot {
 
     fn hold(&mut self, t_s: f64, view: &State) -> Sticks {
         let error = self.target_m(t_s) - view.position;
-        // No integration on the ground, where the legs hold the vehicle.
+        // Do not integrate on the ground, where the legs hold the vehicle.
         if view.position.z < self.home.z - 0.2 {
             let limit = |a: f64| a.clamp(-MAX_INTEGRAL_M_S2, MAX_INTEGRAL_M_S2);
             let Vec3 { x, y, z } = self.integral
@@ -381,7 +381,7 @@ mod tests {
         for late in 0..REACTION_FRAMES {
             assert_eq!(pilot.frame(10.0, &off).channels[1], 992, "{late} frames late");
         }
-        // North and east of the target: roll left, pitch stick back.
+        // The vehicle is north and east of the target, so the pilot rolls left and pulls the pitch stick back.
         let [_, roll, pitch, _] = pilot.frame(10.0, &off).channels;
         assert!(roll < 992 && pitch < 992);
     }
@@ -391,7 +391,8 @@ mod tests {
         let start = at(vec3(0.0, 0.0, -0.05));
         let plan = Plan { land_before_end_s: Some(20.0), ..PLAN };
         let mut pilot = Pilot::new(&PilotScript { plan, ..hold() }, 60.0, KNOWLEDGE, &start);
-        // On two feet, 5 cm up. The descent from 2 m starts at 40 s, so the target is on the ground from 44 s on.
+        // The vehicle is on two feet, 5 cm up. The descent from 2 m starts at 40 s, so the target is on the ground from
+        // 44 s on.
         let leaning = at(vec3(0.0, 0.0, -0.1));
         for (t_s, holds) in [(43.0, true), (47.9, true), (48.1, false), (50.0, false)] {
             for _ in 0..=REACTION_FRAMES {

@@ -120,7 +120,7 @@ fn delivery<T>(effect: &mut dyn Delivery<T>, stream: impl Fn(u32) -> Option<T>) 
     })
 }
 
-/// Measures the time of a call with the effect minus that of the same call without it, ns.
+/// Measures the time of a call with the effect, and subtracts the time of the same call without it, ns.
 fn cost(mut call: impl FnMut(u32, bool)) -> f64 {
     let with = time(|k| call(k, black_box(true)));
     let without = time(|k| call(k, black_box(false)));
@@ -159,7 +159,7 @@ fn vehicle(effect: VehicleEffect) -> f64 {
             }
             black_box((wanted, at.time_s));
         }),
-        // Twice a step: in the middle and at the end.
+        // This effect is applied twice in a step, in the middle and at the end.
         VehicleEffect::Lag(lag) => {
             2.0 * cost(|_, with| {
                 let mut rotors = black_box(ROTORS);

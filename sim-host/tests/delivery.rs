@@ -57,7 +57,7 @@ fn hover_flies_with_ten_percent_of_imu_samples_lost() {
     assert!(outcome.position_error_max_m < 1.5 && outcome.attitude_rmse_deg < 2.0, "{outcome:?}");
     let n = arrivals.imu.len() as f64;
     let lost = arrivals.imu.iter().filter(|imu| imu.is_none()).count() as f64 / n;
-    // Five standard errors: 5 √(0.1 · 0.9/30,000) = 0.0087.
+    // The bound is five standard errors, 5 √(0.1 · 0.9/30,000) = 0.0087.
     assert!((lost - 0.1).abs() < 5.0 * (0.09 / n).sqrt(), "{lost}");
 }
 
@@ -104,8 +104,8 @@ fn link_outage_starts_a_descent_after_half_a_second() {
     };
     // The last frame came at 14.98 s, 20 ms before the outage; the next at 17.00 s.
     assert!((lost_s - 15.48).abs() < 2.5e-3 && (back_s - 17.5).abs() < 2.5e-3, "{lost_s} {back_s}");
-    // An outage until the end: the vehicle descends 2 m at up to 1.3 m/s, stands on the ground, and stops its motors after
-    // 30 s.
+    // The outage lasts until the end. The vehicle descends 2 m at up to 1.3 m/s, stands on the ground, and stops
+    // its motors after 30 s.
     let (outcome, arrivals) =
         hover_with("[scene]\nduration_s = 60.0\n[effects.link.outage]\nat_s = 15.0\nfor_s = 45.0\n");
     println!("{outcome:?}");
@@ -130,7 +130,7 @@ fn link_latency_and_loss_are_applied_to_the_frames() {
     assert_eq!(outcome.crash, None, "{outcome:?}");
     let sent = without_delay.rc.iter().flatten().count() as f64;
     let lost = 1.0 - lossy.rc.iter().flatten().count() as f64 / sent;
-    // Five standard errors of 1,500 frames: 5 √(0.21/1500) = 0.059.
+    // The bound is five standard errors of 1,500 frames, 5 √(0.21/1500) = 0.059.
     assert!((lost - 0.3).abs() < 5.0 * (0.21 / sent).sqrt(), "{lost}");
     println!("30 % lost: {outcome:?}");
 }
@@ -315,11 +315,12 @@ fn failed_sensor_stops_the_motors_with_its_cause() {
         assert_eq!(outcome.final_state, ArmState::Terminated);
         after_arming(&arrivals)[0]
     };
-    // The code for "invalid" is not a sample: the effect is that of a dead sensor.
+    // The code for "invalid" is not a sample, so the effect is that of a dead sensor.
     let (time_s, state, cause) = fails("kind = \"invalid_code\"\nsensor = \"imu\"\n");
     assert_eq!((state, cause), (ArmState::Terminated, Cause::ImuLost));
     assert!((time_s - 15.1).abs() < 1.5e-3, "{time_s}");
-    // Each axis alone. The limit is 0.1 s and up to two samples more, because each sensor is checked at every other sample.
+    // Each axis is stuck alone. The limit is 0.1 s and up to two samples more, because each sensor is checked at every
+    // other sample.
     for sensor in ["gyro", "accel"] {
         for axis in ["x", "y", "z"] {
             let fault = format!("kind = \"stuck_axis\"\nsensor = \"{sensor}\"\naxis = \"{axis}\"\n");

@@ -16,7 +16,8 @@ const NOT_RUN: [(&str, &str); 4] = [
     ("sim-host paper --out paper", "builds the program studies; its tests run the example"),
 ];
 
-/// Commands whose `--help` is that of the program `studies`, which it would build. `sim-host help` shows their example.
+/// Commands whose `--help` is printed by the program `studies`. Calling it would build that program, so the test takes
+/// their examples from `sim-host help`.
 const FORWARDED: [&str; 2] = ["cost", "paper"];
 
 fn sim_host(arguments: &[&str], directory: &Path) -> Output {

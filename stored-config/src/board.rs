@@ -8,7 +8,8 @@ use flight_core::{Config, FlightController, Params};
 
 use crate::{DecodeError, decode};
 
-/// Maximum difference of equal sensitivities, as a share of the board's: the host computes them in f64.
+/// Maximum difference of sensitivities that count as equal, as a share of the board's. They can differ, because the
+/// host computes them in f64.
 const SAME_SENSITIVITY: f32 = 1.0e-3;
 
 /// The reason why a record is not used.

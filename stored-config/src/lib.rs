@@ -46,7 +46,8 @@ const TRAILER: usize = 4;
 /// Value of erased flash.
 const ERASED: u8 = 0xff;
 
-/// The CRC with a table of 16 entries: a fourth of the speed of a table with 256 entries, and a sixteenth of its flash.
+/// The CRC with a table of 16 entries. It has a fourth of the speed of a table with 256 entries, and needs a sixteenth
+/// of its flash.
 const CRC: Crc<u32, Table<1>> = Crc::<u32, Table<1>>::new(&CRC_32_ISO_HDLC);
 
 /// The record does not fit into the buffer, or into [`MAX_RECORD`].

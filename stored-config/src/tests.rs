@@ -31,7 +31,7 @@ fn configuration_survives_encoding_and_decoding() {
     for config in [calibrated(), Config { calibration: None, ..calibrated() }] {
         let mut bytes = record(&config);
         assert_eq!(decode(&bytes), Ok(config));
-        // Followed by erased flash, or by other data.
+        // The record is followed by erased flash, or by other data.
         bytes.resize(16 * 1024, ERASED);
         assert_eq!(decode(&bytes), Ok(config));
         bytes[MAX_RECORD..].fill(0x5a);
@@ -106,7 +106,7 @@ fn truncated_record_is_refused() {
         let expected = match length {
             0 => DecodeError::Empty,
             1..4 => DecodeError::Magic,
-            // A length of 0xffff, or a right lower byte with an upper byte of 0xff.
+            // The length is 0xffff, or its lower byte is right and its upper byte is 0xff.
             4..8 => DecodeError::Length,
             _ => DecodeError::Checksum,
         };

@@ -115,7 +115,7 @@ fn default_setting_is_on_the_front() {
     };
     let everything = |_: &Setting| true;
     let instructions = |s: &Setting| s.m4_instructions;
-    // A cost of the integrator that needs no clock: evaluations of the accelerations. The Lie group's exponentials,
+    // Evaluations of the accelerations are a cost of the integrator that needs no clock. The Lie group's exponentials,
     // four a step, count like evaluations.
     let evaluations = |s: &Setting| {
         let lie = if s.series.starts_with("RKMK4") { 2.0 } else { 1.0 };

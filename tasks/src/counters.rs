@@ -42,11 +42,11 @@ impl Counter {
 
 /// All counters.
 pub struct Counters {
-    /// Steps without an IMU sample, because none could be read.
+    /// Number of steps without an IMU sample because none could be read.
     pub lost: Counter,
-    /// Bursts started without an edge of the data-ready line.
+    /// Number of bursts that were started without an edge of the data-ready line.
     pub polled: Counter,
-    /// Samples that became ready while the previous one was being read or processed.
+    /// Number of samples that became ready while the previous one was being read or processed.
     pub late: Counter,
     /// Bursts that returned the previous sample again.
     pub repeated: Counter,
@@ -56,9 +56,9 @@ pub struct Counters {
     pub unreadable: Counter,
     /// Longest time from the wake-up of `control_loop` to its end, µs.
     pub longest_us: Counter,
-    /// Steps whose pulses were not sent, because the previous ones were still being sent.
+    /// Number of steps whose pulses were not sent, because the previous ones were still being sent.
     pub outputs_dropped: Counter,
-    /// Restarts of the outputs, because a pulse or frame hung or was cut short.
+    /// Number of restarts of the outputs after a pulse or frame that hung or was cut short.
     pub outputs_recovered: Counter,
     /// Magnetometer samples.
     pub mag: Counter,
@@ -68,7 +68,7 @@ pub struct Counters {
     pub rc: Counter,
     /// Damaged receiver frames.
     pub rc_bad: Counter,
-    /// Runs of `magnetometer` and `health` that were due before the previous run had finished.
+    /// Number of runs of `magnetometer` and `health` that were due before the previous run had finished.
     pub delayed: Counter,
     /// Battery voltage as last measured, mV.
     pub battery_mv: Counter,

@@ -59,7 +59,8 @@ impl Task {
 /// A task is late if its last check-in is older than this, µs, in the order of [`Task`]: the task's longest period, plus
 /// one more period for tasks that another task starts.
 const ALLOWED_AGE_US: [u64; 3] = [
-    // The step without a lost sample comes after OVERDUE_US, and further ones after PERIOD_US each.
+    // If a sample is lost, a step without a sample runs OVERDUE_US after the last one. Further such steps follow every
+    // PERIOD_US.
     (OVERDUE_US + PERIOD_US) as u64,
     2 * PERIOD_US as u64,
     2 * (BATTERY_TICKS * PERIOD_US) as u64,

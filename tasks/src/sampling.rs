@@ -73,8 +73,8 @@ pub enum Action {
     StopMotors,
 }
 
-/// Handles a data-ready edge at `at_us`; `running` says whether the previous sample's burst is still running. For the
-/// board's interrupt handler, at a priority above that of `control_loop`.
+/// Handles a data-ready edge at `at_us`; `running` says whether the previous sample's burst is still running. The
+/// board's interrupt handler calls this, at a priority above that of `control_loop`.
 pub fn ready(at_us: u32, running: bool) -> Action {
     match OWNER.load(Ordering::Acquire) {
         FREE => {
@@ -97,7 +97,8 @@ pub fn ready(at_us: u32, running: bool) -> Action {
     count_wake(Action::WakeControlLoop)
 }
 
-/// Handles a missing data-ready edge at `at_us`. For the board's interrupt handler, at the same priority as [`ready`].
+/// Handles a missing data-ready edge at `at_us`. The board's interrupt handler calls this, at the same priority as
+/// [`ready`].
 pub fn poll(at_us: u32) -> Action {
     if OWNER.load(Ordering::Acquire) == FREE {
         begin_burst(at_us, true);

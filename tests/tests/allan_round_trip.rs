@@ -12,9 +12,10 @@
 //! the same days give B and K with standard deviations of 3.4 % and 5.8 %; fitted together, with 2.4 % and 2.7 %.
 //!
 //! # The bounds do not depend on luck
-//! `spread_over_seeds` prints and bounds, over 10 hours and 40 days of three axes: N, worst error 1.9 % of 240 readings;
-//! B: mean −0.7 %, deviation 2.4 %, worst 7.7 % of 120; K: mean −0.8 %, deviation 2.7 %, worst 9.1 %. The bounds of
-//! 3.5 % and 15 % are five deviations away.
+//! `spread_over_seeds` prints and bounds the errors over 10 hours and 40 days of three axes. The worst error of N is
+//! 1.9 %, in 240 readings. The error of B has a mean of −0.7 %, a standard deviation of 2.4 %, and is 7.7 % at worst,
+//! in 120 readings. The error of K has a mean of −0.8 %, a standard deviation of 2.7 %, and is 9.1 % at worst. The
+//! bounds of 3.5 % and 15 % are five deviations away.
 
 use flight_core::geometry::Vec3;
 use flight_core::prefilter::{Biquad, Prefilter};

@@ -129,7 +129,7 @@ fn add_imports(module: &str, source: &str, imports: &mut Imports) {
         let mut depth = 0;
         let list = match rest.strip_prefix('{') {
             None => rest.split(|c: char| c != '_' && !c.is_alphanumeric()).next().unwrap_or("").to_owned(),
-            // The first segments of the paths in the list.
+            // These are the first segments of the paths in the list.
             Some(list) => list
                 .chars()
                 .take_while(|c| {

@@ -57,8 +57,8 @@ const STEPS_DEG_S: [[f64; 3]; 5] =
 fn robust_keeps_tilt_error_within_2_deg_after_bias_steps() {
     for name in ["hover", "steps"] {
         let mut worst_of_all = Worst::default();
-        // Steps before, between and during the doublets of `steps`, at 14 s and 19 s. A tilt error takes 12 s to its
-        // peak.
+        // The bias steps before, between and during the doublets of the scene `steps`, which are at 14 s and 19
+        // s. A tilt error takes 12 s to its peak.
         for step_at_s in [6.0, 8.0, 12.0, 16.0] {
             for step in STEPS_DEG_S {
                 let scene = scene(name, "robust", step_at_s, step);

@@ -195,7 +195,7 @@ proptest! {
         floats in prop::collection::vec((any::<prop::sample::Index>(), prop::num::f32::ANY), 0..3),
     ) {
         prop_assert!(read_for_board(&bytes, &board()).is_err());
-        // The same for arbitrary numbers with a valid checksum.
+        // Arbitrary numbers with a valid checksum are also either accepted or refused.
         let config = Config { params: Params::default(), calibration: Some(Calibration::NONE) };
         let mut record = encode(&config, &mut [0; MAX_RECORD]).unwrap().to_vec();
         let end = record.len() - 4;

@@ -30,7 +30,7 @@ fn stand_steps_settle_within_0_6_s() {
     let outcome = Flight::new(&scene, scene.seed).run(&mut tilt);
     assert_eq!(outcome.crash, None);
     assert!(outcome.attitude_rmse_deg <= 1.0, "{outcome:?}");
-    // Roll right and left, then pitch down (stick forward) and up; each step there and back.
+    // The vehicle rolls right and left, then pitches down (stick forward) and up. Each step goes there and back.
     let steps = [
         (&tilt.roll_deg, 6000, 0.0, 30.0),
         (&tilt.roll_deg, 8000, 30.0, 0.0),
@@ -43,7 +43,7 @@ fn stand_steps_settle_within_0_6_s() {
     ];
     for (angle, at_ms, from_deg, to_deg) in steps {
         let held = &angle[at_ms..at_ms + 2000];
-        // Progress of the step: 0 at its start, 1 at its target.
+        // The progress of the step is 0 at its start and 1 at its target.
         let progress = |deg: &f64| (deg - from_deg) / (to_deg - from_deg);
         let overshoot = held.iter().map(progress).fold(0.0, f64::max) - 1.0;
         let late = held[600..].iter().map(|deg| (progress(deg) - 1.0).abs()).fold(0.0, f64::max);
@@ -229,7 +229,7 @@ fn rate_mode_follows_sticks_and_holds_tilt_when_centred() {
 
 #[test]
 fn full_stick_reversals_do_not_exceed_the_tilt_limit() {
-    // 45° in roll and in pitch give 60° of tilt; then the opposite sticks: 120° apart.
+    // 45° in roll and in pitch give 60° of tilt. The opposite sticks then command a tilt that is 120° from it.
     let moves: String = (0..8)
         .map(|k| {
             let (at_s, side) = (26.0 + 0.6 * f64::from(k), if k % 2 == 0 { 1.0 } else { -1.0 });

@@ -1,4 +1,4 @@
-//! `docs/paper.md` against the sources: the code and tests that it names exist in the linked files. Also checks figures
+//! Checks that the code and tests which `docs/paper.md` names exist in the linked files. Also checks figures
 //! of the firmware on several pages.
 //!
 //! In `docs/paper.md` a paragraph that starts with **Implemented.** or **Tested by** lists names in backticks, each

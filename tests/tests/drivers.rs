@@ -110,8 +110,8 @@ fn imu_registers_match_the_datasheet_after_setup() {
     ] {
         assert_eq!(chip.register(bank, address), value, "{what}");
     }
-    // No misuse: the driver waits after power-up and reset, and writes nothing while the mode changes or the sensors
-    // sample.
+    // There is no misuse: the driver waits after power-up and reset, and writes nothing while the mode changes or
+    // the sensors sample.
     assert_eq!(chip.misuse(), []);
 }
 
@@ -157,8 +157,9 @@ fn imu_setup_fails_with_the_error_of_each_fault() {
         let stuck = Fault::StuckRegister { bank, address };
         assert_eq!(refused(stuck), Some(SetupError::ReadbackMismatch { bank, address }));
     }
-    // The chip ignores the reset: the reset register keeps nothing, and an earlier read has cleared the flag of the
-    // power-up reset.
+    // The chip ignores the software reset, because writes to its reset register have no effect. The chip also sets the
+    // flag "reset done" after power-up. A read clears this flag, so that the driver does not take it for the flag of
+    // its own reset.
     let (clock, chip) = imu_chip();
     clock.advance_ns(2 * MS);
     chip.clone().transfer_in_place(&mut [0x2d | 0x80, 0]).unwrap();
@@ -203,7 +204,7 @@ fn absent_imu_is_retried_once_a_second_after_20_attempts() {
         failures += u32::from(matches!(step, icm42688p::Progress::Failed(_)));
         clock.advance_ns(MS);
     }
-    // Twenty attempts in the first 2.2 s, then one a second.
+    // There are twenty attempts in the first 2.2 s, then one a second.
     assert!((37..=38).contains(&failures), "{failures}");
     assert_eq!(setup.attempt(), failures + 1);
 }
@@ -398,7 +399,7 @@ fn imu_sample_during_a_burst_is_reported_as_torn() {
     let (clock, chip) = imu_chip();
     let mut imu = set_up_imu(&clock, &chip).unwrap();
     let mut torn = 0;
-    // Bursts of 12 µs that start from 20 µs before a sample to 5 µs after it.
+    // The bursts take 12 µs, and start from 20 µs before a sample to 5 µs after it.
     for early_ns in (0..=20_000).step_by(100) {
         advance_to(&clock, chip.next_sample_ns().unwrap());
         advance_to(&clock, chip.next_sample_ns().unwrap() - early_ns);

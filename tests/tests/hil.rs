@@ -177,7 +177,7 @@ fn lost(frames: u32) -> Received {
 #[test]
 #[ignore = "needs qemu-system-arm"]
 fn hil_link_gap_over_half_a_second_is_link_loss() {
-    // A gap of 0.05 s: the flight continues.
+    // There are no frames for 0.05 s. The flight continues.
     let (Flown { outcome, ended, report }, words, exit) =
         fly_twice_on_qemu(&scene("hover"), held_back(15_000_000..15_050_000));
     assert!(ended.is_ok() && exit.is_success(), "{ended:?}");
@@ -207,7 +207,7 @@ fn hil_without_frames_the_watchdog_resets_into_terminated() {
     let (Flown { outcome, ended, report }, _, exit) =
         fly_twice_on_qemu(&scene, held_back(3_000_000..4_500_000));
     assert!(ended.is_ok() && exit.is_success(), "{ended:?}");
-    // One reset: afterwards frames arrive again.
+    // There is one reset. Afterwards frames arrive again.
     assert_eq!(report.resets, [Reset { time_us: 4_500_000, by_watchdog: true }]);
     assert_eq!(outcome.final_state, Terminated);
 }

@@ -78,7 +78,7 @@ impl Observer for DriftRecorder {
     }
 }
 
-/// Flies `hover` for `duration_s`, and records the stretches between a minute after take-off and the landing.
+/// Flies the scene `hover` for `duration_s`, and records the stretches between a minute after take-off and the landing.
 fn hover_for(duration_s: f64) -> (Outcome, DriftRecorder) {
     let mut scene = Scene::load("hover").unwrap();
     scene.set_duration(duration_s).unwrap();

@@ -86,9 +86,12 @@ fn held(yaw: u16) -> [u16; 16] {
     channels
 }
 
-/// Time from the first valid frame of the arm gesture to armed, µs: the frames that resynchronisation may cost, the
-/// half second of the link, the second of the gesture and the half second of checks. One frame is added because time is
-/// counted from frame to frame.
+/// Longest time from the first valid frame of the arm gesture until the vehicle is armed, µs. It is the sum of:
+/// - the frames that may be lost until the decoder is synchronised,
+/// - 0.5 s with valid frames, after which the link counts as back,
+/// - 1 s for which the pilot holds the gesture,
+/// - 0.5 s for the checks before arming,
+/// - one frame, because time is counted from frame to frame.
 const TO_ARMED_US: u64 = (RECOVERY_FRAMES as u64 + 1) * FRAME_US + RC_BACK_US as u64 + 1_000_000 + 500_000;
 
 #[test]
@@ -117,7 +120,7 @@ fn random_bytes_never_arm_and_the_link_recovers_after_them() {
 
 #[test]
 fn valid_frames_with_random_channels_never_arm() {
-    // Valid frames with random channels, one after the other, for ten minutes.
+    // Send valid frames with random channels, one after the other, for ten minutes.
     for protocol in BOTH {
         let mut port = Port::new(protocol);
         let mut random = Random(5);

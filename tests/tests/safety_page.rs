@@ -1,4 +1,4 @@
-//! `docs/safety.md` against the arming table: the page's two generated lists equal those of the program.
+//! Checks that the two generated lists of `docs/safety.md` equal those of the arming table in the program.
 //!
 //! To write the lists again after a change: `KESTREL_WRITE_DOCS=1 cargo test -p tests --test safety_page`.
 

@@ -27,7 +27,8 @@ fn exclusive() -> MutexGuard<'static, ()> {
     guard
 }
 
-/// Whether a burst must be started. None of these tests leaves `flight` unserved.
+/// Returns whether a burst must be started. In these tests the task `control_loop` runs after every wake-up, so the
+/// motors need not be stopped.
 fn starts(next: Action) -> bool {
     assert_ne!(next, Action::StopMotors, "the motors are stopped");
     next == Action::StartBurst
@@ -71,7 +72,8 @@ impl BurstBus for Dma {
     }
 }
 
-/// Enters the handler of `flight` as the interrupt controller does: if it is pended, and as long as the level is up.
+/// Enters the handler of the task `control_loop` as the interrupt controller does: if it is pended, and again as long
+/// as the interrupt's level is up.
 fn enter(dma: &Dma, sampler: &mut Sampler<Dma>, mut pended: bool, now_us: u32) -> (u32, Vec<Sample>) {
     let (mut entries, mut samples) = (0, vec![]);
     while pended || dma.is_up() {
@@ -170,7 +172,7 @@ fn burst_started_during_the_handler_is_not_aborted() {
     let dma = Dma::default();
     let mut sampler = Sampler::new(dma.clone());
     assert!(starts(sampling::poll(0)) && !starts(sampling::poll(500)));
-    // The time was read before the burst began: the age is −1 µs, not 71 minutes.
+    // The time was read before the burst began, so the age is −1 µs, not 71 minutes.
     dma.running.set(true);
     sampler.next_sample(u32::MAX);
     assert!(dma.running.get());
@@ -301,7 +303,7 @@ fn first_samples_arrive_within_62_ms() {
 
 #[test]
 fn imu_reset_in_flight_recovers_within_90_ms() {
-    // Interruptions of the supply from 1 µs to 20 ms, at different phases.
+    // The supply is interrupted for 1 µs to 20 ms, at different phases.
     for (n, dip_us) in [1, 300, 1_000, 5_000, 20_000].into_iter().enumerate() {
         let _guard = exclusive();
         let mut board = Board::new();
@@ -349,7 +351,7 @@ fn broken_data_ready_line_is_replaced_by_polling() {
     assert!((1_950..=2_000).contains(&samples), "{samples}");
     assert!((1_990..=2_000).contains(&COUNTERS.polled.take()));
     assert!(board.longest_gaps_us().0 <= 3_000);
-    // The line works again: polling stops.
+    // The line works again, so polling stops.
     board.connected = true;
     board.run(10 * MS);
     board.steps.clear();

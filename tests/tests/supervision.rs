@@ -139,7 +139,7 @@ fn imu_without_new_data_terminates_flight_after_100_ms() {
         vehicle.run_ms(3_000);
         assert_eq!((vehicle.state(), vehicle.pulses_us), (Terminated, [1_000.0; 4]));
     };
-    // No sample for 0.1 s; the code for "no sample" for 0.1 s; the same sample for 0.1 s.
+    // For 0.1 s there is no sample, or the code for "no sample", or the same sample.
     end(|vehicle| vehicle.sensor_dead = true, Cause::ImuLost, 98);
     end(|vehicle| vehicle.invalid_code = true, Cause::ImuLost, 98);
     end(|vehicle| vehicle.all_zeros = true, Cause::ImuStuck, 98);

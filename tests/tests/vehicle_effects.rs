@@ -4,7 +4,7 @@ use flight_core::ArmState;
 use sim_host::flight::{Crash, Flight, Outcome};
 use sim_host::scene::Scene;
 
-/// Returns `hover` with more effects, as a scene file would include it.
+/// Returns the scene `hover` with more effects, as a scene file would include it.
 fn hover_with(tables: &str) -> Scene {
     Scene::parse("hover-with", &format!("include = \"hover\"\n{tables}")).unwrap_or_else(|e| panic!("{e}"))
 }
@@ -64,7 +64,7 @@ fn hover_flies_with_all_effects_at_once() {
 #[test]
 fn every_effect_changes_the_flight() {
     let plain = Flight::new(&Scene::load("hover").unwrap(), 7).run(&mut ()).digest;
-    // `hover` already has rotor_gyroscopic.
+    // The scene `hover` already has rotor_gyroscopic.
     for (tables, _) in EFFECTS.iter().filter(|(tables, _)| !tables.contains("gyroscopic")) {
         assert_ne!(fly(tables, 7).digest, plain, "{tables}");
     }

@@ -65,8 +65,8 @@ fn hundred_seeds_with_five_inch_do_not_crash() {
     }
 }
 
-/// The descent throttle must be the vehicle's own: with another vehicle's, one with a thrust to weight of 5 would
-/// climb.
+/// The descent throttle must be the vehicle's own. With that of another vehicle, a vehicle with a thrust-to-weight
+/// ratio of 5 would climb.
 #[test]
 fn link_loss_lands_every_vehicle() {
     for (vehicle, _) in vehicle::BUILT_IN {
@@ -82,7 +82,7 @@ fn link_loss_lands_every_vehicle() {
         let outcome = Flight::new(&scene, 7).run(&mut extremes);
         assert_eq!(outcome.crash, None, "{vehicle}: {outcome:?}");
         assert!(extremes.highest_m < 2.4, "{vehicle} climbs to {} m", extremes.highest_m);
-        // 5 % of the weight against a drag of 0.35 /s times the mass: 1.4 m/s.
+        // 5 % of the weight acts against a drag of 0.35 /s times the mass, which gives 1.4 m/s.
         assert!(extremes.fastest_down_m_s < 1.9, "{vehicle} descends with {} m/s", extremes.fastest_down_m_s);
         assert!(
             extremes.end.is_some_and(|end| end.z > -0.15),
@@ -156,7 +156,7 @@ fn proposed_gains_equal_the_tuning_page() {
             response.metrics(step_rad).rise_s.unwrap(),
             100.0 * (response.max_tilt_rad() / step_rad - 1.0),
         ];
-        // Tolerance: half a unit of the page's last digit.
+        // The tolerance is half a unit of the page's last digit.
         for ((of_page, found), half) in
             of_page.iter().zip(found).zip([0.5, 0.06, 0.006, 0.06, 0.006, 0.006, 0.6])
         {

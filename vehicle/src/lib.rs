@@ -311,7 +311,8 @@ pub fn is_built_in(name: &str) -> bool {
 /// Returns name and text of a built-in vehicle, or of a vehicle file in the directory of `from`.
 ///
 /// # Errors
-/// The file cannot be read. `name` is neither: the error suggests the nearest built-in name.
+/// The file cannot be read. If `name` is neither a built-in name nor a file, the error suggests the nearest built-in
+/// name.
 pub fn find(name: &str, from: &Path, read: ReadText) -> Result<(String, String), InputError> {
     built_in_or_file("vehicle", BUILT_IN, name, from, read)
         .map_err(|(path, error)| InputError::new(format!("{} cannot be read: {error}", path.display())))?

@@ -24,7 +24,7 @@ pub struct Plant {
     pub lag_s: f64,
     /// Cutoff of the prefilter (a second-order Butterworth low-pass), Hz; `None` for no prefilter.
     pub prefilter_hz: Option<f64>,
-    /// Time from a sample to its command at the motor T, s.
+    /// Time T from a sample to its command at the motor, s.
     pub delay_s: f64,
 }
 
@@ -114,7 +114,7 @@ impl Plant {
 /// the protocol's time (docs/timing.md).
 fn delay_s(esc: EscProtocol) -> f64 {
     let protocol = match esc {
-        // Half of the 2.5 ms period of the pulses, plus a pulse of 1.5 ms.
+        // The delay is half of the 2.5 ms period of the pulses, plus a pulse of 1.5 ms.
         EscProtocol::Pwm => 2.75e-3,
         EscProtocol::OneShot125 => 0.2e-3,
         EscProtocol::DShot300 => 0.06e-3,

@@ -69,7 +69,7 @@ fn derived_figures_follow_from_the_file() {
     // Thrust from a thrust stand's figure: 1.9 kg at 11,000 rpm, which is 1,151.9 rad/s.
     let v = Vehicle::load("ten-inch").unwrap();
     assert!((v.params.thrust_coefficient / (1.9 * 9.80665 / 1151.917_f64.powi(2)) - 1.0).abs() < 1e-6);
-    // A box of 1.5 kg, 180 by 90 by 70 mm, and 0.9 kg 165 mm to the side.
+    // The moment of inertia of a box of 1.5 kg, 180 by 90 by 70 mm, and of 0.9 kg at a distance of 165 mm to the side.
     let x = 1.5 * (0.09_f64.powi(2) + 0.07_f64.powi(2)) / 12.0 + 0.9 * 0.165_f64.powi(2);
     assert!((v.params.inertia_kg_m2.x - x).abs() < 1e-9);
     assert!(v.derived.iter().any(|derived| derived.what == "moments of inertia" && derived.estimate));
@@ -78,7 +78,7 @@ fn derived_figures_follow_from_the_file() {
 #[test]
 fn full_speed_follows_from_kv_and_cells() {
     let v = altered("max_rad_s = 319.0", "kv_rpm_per_v = 380.0").unwrap();
-    // 380 rpm/V · 11.1 V · 75 % = 3,163.5 rpm.
+    // The speed is 380 rpm/V · 11.1 V · 75 % = 3,163.5 rpm.
     assert!((v.params.max_rad_s - 3163.5 / 60.0 * std::f64::consts::TAU).abs() < 0.1);
     assert!(v.derived.iter().any(|derived| derived.what == "speed at full throttle" && derived.estimate));
 }

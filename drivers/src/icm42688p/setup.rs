@@ -57,10 +57,10 @@ const SETTINGS: [(Register, u8); 12] = [
     (ACCEL_CONFIG_STATIC2, AAF_DELT << 1),
     (ACCEL_CONFIG_STATIC3, AAF_DELTSQR as u8),
     (ACCEL_CONFIG_STATIC4, AAF_BITSHIFT << 4 | (AAF_DELTSQR >> 8) as u8),
-    // Full scale 0: ±2,000 °/s, ±16 g; data rate 6: 1 kHz.
+    // Full scale 0 is ±2,000 °/s and ±16 g; data rate 6 is 1 kHz.
     (GYRO_CONFIG0, 0x06),
     (ACCEL_CONFIG0, 0x06),
-    // INT1 pulsed, push-pull, active high.
+    // INT1 is pulsed, push-pull and active high.
     (INT_CONFIG, 0b011),
     // INT_ASYNC_RESET is set after a reset, and must be cleared for INT1 to work.
     (INT_CONFIG1, 0x00),

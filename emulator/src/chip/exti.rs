@@ -116,7 +116,7 @@ impl Device for Exti {
         match register {
             // The register file's rule has already cleared the bits that were written as one.
             exti::Register::Swier => {
-                // 12.3.5: a bit that goes from 0 to 1 while its line is unmasked sets the pending bit.
+                // RM0090, 12.3.5: a bit that goes from 0 to 1 while its line is unmasked sets the pending bit.
                 let pending = registers.get(exti::Register::Pr) | value & registers.get(exti::Register::Imr);
                 registers.set(exti::Register::Pr, pending);
             }

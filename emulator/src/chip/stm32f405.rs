@@ -7,7 +7,7 @@
 //! | Region | Address | Size | |
 //! |---|---|---|---|
 //! | flash | 0x0800_0000 | 1 MiB | programmed through FLASH |
-//! | CCM | 0x1000_0000 | 64 KiB | DMA can't reach it: [`Stm32f405::unreachable_by_dma`] |
+//! | CCM | 0x1000_0000 | 64 KiB | DMA cannot reach it: [`Stm32f405::unreachable_by_dma`] |
 //! | system | 0x1FFF_0000 | 32 KiB | factory calibration |
 //! | SRAM | 0x2000_0000 | 112 + 16 KiB | |
 //! | backup SRAM | 0x4002_4000 | 4 KiB | |
@@ -249,11 +249,11 @@ fn assemble() -> Result<Bus, Error> {
         .collect();
     let names: Vec<&'static str> = instances.iter().map(|instance| instance.name).collect();
     let mut builder = Bus::builder(CPU, &MEMORY, instances)
-        // The F405's identity (RM0090, 38.6.1): 0x413; revision Z, 0x1001 (errata sheet ES0182).
+        // The F405's identity is 0x413 (RM0090, 38.6.1), and revision Z is 0x1001 (errata sheet ES0182).
         .reset("DBG", "DBGMCU_IDCODE", 0x1001_6413)
         .aborts_in("nothing", 0, 0xe000_0000);
 
-    // Corrections: ST's machine-readable description differs from its manual.
+    // These are corrections, because ST's machine-readable description differs from its manual.
     for &name in &names {
         let gate = |registers: fn((&'static str, &'static str)) -> &'static str, field: &str| {
             ENABLES.into_iter().map(registers).find_map(|register| {
@@ -278,13 +278,13 @@ fn assemble() -> Result<Bus, Error> {
             builder = builder.clocked_by(name, clock);
         }
         match field_of(name) {
-            // 30.6.1: TXE and TC are set.
+            // RM0090, 30.6.1: TXE and TC are set.
             Field::Usart(_) => builder = builder.reset(name, "SR", 0xc0),
-            // 28.5.9.
+            // RM0090, 28.5.9.
             Field::Spi(_) => builder = builder.reset(name, "I2SPR", 0x0002),
-            // 27.6.6: error flags are cleared by writing zero.
+            // RM0090, 27.6.6: error flags are cleared by writing zero.
             Field::I2c(_) => builder = builder.write_modify(name, "SR1", WriteModify::ZeroToClear),
-            // 18.4.5: flags are cleared by writing zero; 18.4.12: the period is all ones.
+            // RM0090, 18.4.5: flags are cleared by writing zero. RM0090, 18.4.12: the period is all ones.
             Field::Tim(n) => {
                 builder = builder.write_modify(name, "SR", WriteModify::ZeroToClear).reset(
                     name,
@@ -297,7 +297,7 @@ fn assemble() -> Result<Bus, Error> {
                     builder.write_modify(name, "SR", WriteModify::ZeroToClear).reset(name, "ARR", 0xffff);
             }
             Field::Gpio(n) => {
-                // 8.4.1, 8.4.3, 8.4.4: ports A and B start with the debug port's pins.
+                // RM0090, 8.4.1, 8.4.3 and 8.4.4: ports A and B start with the debug port's pins.
                 let [mode, speed, pull] = match n {
                     0 => [0xa800_0000, 0x0c00_0000, 0x6400_0000],
                     1 => [0x0280, 0x00c0, 0x0100],
@@ -308,9 +308,9 @@ fn assemble() -> Result<Bus, Error> {
                     .reset(name, "OSPEEDR", speed)
                     .reset(name, "PUPDR", pull);
             }
-            // 12.3.6: writing a one clears a bit.
+            // RM0090, 12.3.6: writing a one clears a bit.
             Field::Exti => builder = builder.write_modify(name, "PR", WriteModify::OneToClear),
-            // 3.9.5, 3.9.7, 3.9.9. The model is that of the F427, with four bits of latency and RDERR.
+            // RM0090, 3.9.5, 3.9.7 and 3.9.9. The model is that of the F427, with four bits of latency and RDERR.
             Field::Flash => {
                 builder = builder
                     .field(name, "ACR", "LATENCY", flash::LATENCY)
@@ -324,10 +324,10 @@ fn assemble() -> Result<Bus, Error> {
             _ => {}
         }
     }
-    // 5.4.1: the backup domain is write-protected until DBP is set.
+    // RM0090, 5.4.1: the backup domain is write-protected until DBP is set.
     builder = builder.gate_writes("RCC", &["BDCR"], Gate::by("PWR", "CR", "DBP"));
     builder = builder.gate_writes("RTC", &[], Gate::by("PWR", "CR", "DBP"));
-    // Instances that receive requests: see each model.
+    // These instances receive requests: see each model.
     let sinks = ["RTC", "RCC", ADC_COMMON, CONVERTERS[0], "EXTI"]
         .into_iter()
         .chain(SERIAL_INTERFACES)
@@ -596,7 +596,7 @@ impl Mcu for Stm32f405 {
         let registers = self.bus.slot_mut(self.slots.rcc).registers_mut();
         registers.set(rcc_registers::Register::Bdcr, backup_clock);
         if cause == ResetCause::PowerOn {
-            // 7.3.21: the flags of power-on, brown-out and pin reset.
+            // RM0090, 7.3.21: the flags of power-on, brown-out and pin reset are set.
             registers.set(rcc_registers::Register::Csr, 0x0e00_0000);
         } else {
             self.rcc.restarted(cause, flags, registers);

@@ -61,7 +61,7 @@ pub struct Timer<F: Family> {
     inner: Tim<F>,
     clock_hz: u64,
     quiet_events: u32,
-    /// Time and count at which the model was stopped, while it is stopped.
+    /// Time and count at which the model was stopped; `None` while it runs.
     asleep: Option<(VirtualNanos, u64)>,
     /// Whether the model ran since the last [`Self::take_touched`]: its outputs may have changed.
     touched: bool,
@@ -97,7 +97,7 @@ impl<F: TimerRegisters> Timer<F> {
             | dier::CC4IE.mask()
             | dier::TIE.mask();
         registers.get(F::ENABLES) & interrupts == 0
-            // PWM mode 1 or frozen: with a compare value of zero the output stays low.
+            // In PWM mode 1 and in the frozen mode, the output stays low with a compare value of zero.
             && F::MODES.iter().all(|&register| {
                 let value = registers.get(register);
                 [ccmr1_output::OC1M, ccmr1_output::OC2M].iter().all(|mode| matches!(mode.get(value), 0 | 6))

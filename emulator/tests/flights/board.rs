@@ -40,7 +40,7 @@ fn sensors_and_tasks_run_at_their_rates() {
         }
         assert!((99..=101).contains(&value(line, "mag")), "{line:?}");
         assert!((49..=51).contains(&value(line, "rc")), "{line:?}");
-        // 11.1 V behind a divider of 11, in counts of 0.8 mV.
+        // The battery has 11.1 V, behind a divider of 11. A count is 0.8 mV.
         assert!((11_080..=11_120).contains(&value(line, "battery")), "{line:?}");
     }
 
@@ -118,7 +118,7 @@ fn timing_page_matches_measured_figures() {
 
 #[test]
 fn interrupt_priorities_match_the_task_table() {
-    // On the ground, before the pilot arms.
+    // The vehicle is on the ground, before the pilot arms.
     let flown = fly(&hover(""), &[(2.0, Fault::AllInterrupts)]);
     let handlers = flown.wiring.handlers;
     let pairs = |n: usize| {
@@ -205,7 +205,7 @@ fn files_that_are_not_flight_images_are_refused() {
     for length in [10, 40, 60, 1_000, 40_000] {
         refusal(elf[..length].to_vec());
     }
-    // The image's name, changed to that of a bench image.
+    // Change the image's name to that of a bench image.
     let name = b"speedybee-f405-v4\0";
     let at = elf.windows(name.len()).position(|window| window == name).unwrap();
     let mut bench = elf.to_vec();

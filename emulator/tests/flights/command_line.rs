@@ -63,7 +63,7 @@ fn scenes_and_boards_that_do_not_fit_are_refused() {
         &["--board = matek: must be one of speedybee-f405-v4, speedybee-f405-mini, matek-f405-te"],
     );
 
-    // An image for another board than --board, and a board file with an error.
+    // The image is for another board than --board, or the board file has an error.
     assert_refused(
         &["hover", "--board", "matek-f405-te", "--image", &image],
         &["is for the board speedybee-f405-v4, but --board is matek-f405-te"],

@@ -180,7 +180,7 @@ fn flight_survives_20_ms_of_failed_bursts() {
         assert!(flown.gaps.iter().all(|gap| gap.contains("at 0x6")), "stream {stream}: {:?}", flown.gaps);
         let lost =
             flown.records.iter().filter(|record| record.imu.is_none() && record.time_us > 6_000_000).count();
-        // The fault and the sensor's set-up after it, which takes 57 ms.
+        // Samples are lost during the fault and during the sensor's set-up after it, which takes 57 ms.
         assert!((20..=90).contains(&lost), "stream {stream}: {lost} lost: {story}");
         // An error is handled at once, and not only at the next sample.
         assert_eq!(counted(&flown, "late"), 0, "stream {stream}: {story}");
@@ -319,14 +319,15 @@ fn undefined_instruction_stops_the_motors() {
     for task in ["DMA2_STREAM0", "SysTick", "EXTI4"] {
         let faults = [(AT_S, Fault::Undefined(task)), (AT_S + 0.5, Fault::Restored(task))];
         let flown = fly_twice(&hover(""), &faults);
-        // The motors stop at once: within a PWM period of 2.5 ms, or a DShot frame.
+        // The motors stop at once, which is within a PWM period of 2.5 ms or within a DShot frame.
         watchdog_resets(&flown, 0.006);
     }
 }
 
 #[test]
 fn flipped_pointer_stops_the_motors() {
-    // The pointer to the queue of the receiver's bytes. Bit 27 makes the address unmapped, which gives a bus fault.
+    // The fault is in the pointer to the queue of the receiver's bytes. With bit 27 inverted, the address is unmapped,
+    // which causes a bus fault.
     let flown = fly_twice(&hover(""), &[(AT_S, Fault::FlippedPointer("::VAR", 27))]);
     watchdog_resets(&flown, 0.03);
 }
@@ -341,7 +342,7 @@ fn program_that_reads_unmapped_memory_is_aborted() {
 
 #[test]
 fn low_supply_voltage_stops_the_motors() {
-    // Below the voltage detector's level of 2.66 V, and above the processor's minimum supply.
+    // The voltage is below the voltage detector's level of 2.66 V, and above the processor's minimum supply.
     let faults = [(AT_S, Fault::Supply(2_600)), (AT_S + 0.01, Fault::Supply(3_300))];
     let flown = fly_twice(&hover(""), &faults);
     assert_sound(&flown);

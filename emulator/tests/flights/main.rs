@@ -42,7 +42,7 @@ fn scene(name: &str, duration_s: Option<f64>) -> Scene {
     scene
 }
 
-/// Returns a short `hover` scene with additional tables: it takes off at 5 s and descends from 12 s on.
+/// Returns the scene `hover`, shortened, with additional tables: it takes off at 5 s and descends from 12 s on.
 fn hover(tables: &str) -> Scene {
     let mut scene = Scene::parse("altered", &format!("include = \"hover\"\n{tables}")).unwrap();
     scene.set_duration(20.0).unwrap();

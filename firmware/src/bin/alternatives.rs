@@ -2,8 +2,8 @@
 //! itself: see the module `instruction_counter`, and the figures in `studies/src/cost/m4.toml`.
 //!
 //! Every function is called out of line, and its count includes the call: "call alone" is a function that returns its
-//! argument. Inlined into a caller that shares its constants, a function takes less: `sin_cos` 35 instructions in a
-//! loop (`icount`), and 56 here.
+//! argument. Inlined into a caller that shares its constants, a function takes less: `sin_cos` takes 35 instructions
+//! in a loop (`icount`), and 56 here.
 //!
 //! A line of output is `icount,<figure>,<inputs>,<instructions in all>,<most for one input>`; a following line
 //! `code,<figure>,<address>` gives the address of the figure's code in flash.
@@ -45,7 +45,7 @@ const POINTS: u32 = 1_024;
 const DT_S: f32 = PERIOD_US as f32 * 1.0e-6;
 /// Sample rate, Hz.
 const RATE_HZ: f64 = 1.0e6 / PERIOD_US as f64;
-/// Cutoff of the prefilters, Hz: that of the paper.
+/// Cutoff of the prefilters, Hz. It is the cutoff of the paper.
 const CUTOFF_HZ: f64 = 30.0;
 
 #[cortex_m_rt::entry]
@@ -286,7 +286,7 @@ fn estimators<I: Iterator<Item = Reading>>(
     fn six(estimator: &mut Estimator, r: &Reading) {
         estimator.update(r.gyro, r.accel, None, DT_S);
     }
-    /// The same for one kind of filter only: its address gives the code size. It is not run.
+    /// The same function for one kind of filter only. It is not run: its address gives the code size.
     #[inline(never)]
     fn nine_only<F: Filter>(filter: &mut F, r: &Reading) {
         filter.update(r.gyro, r.accel, Some(r.mag), DT_S);

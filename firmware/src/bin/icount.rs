@@ -285,7 +285,7 @@ fn steps(counter: &InstructionCounter) -> Result<(), ConfigError> {
     six.print("step in flight 6-axis");
     nine.print("step in flight 9-axis");
 
-    // The full load: every sensor in every step.
+    // This is the full load: every sensor has a sample in every step.
     let mut controller = FlightController::new(&fixed_input::config())?;
     let mut every = Total::default();
     for slot in 0..INPUTS.end {

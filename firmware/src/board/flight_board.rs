@@ -174,8 +174,8 @@ fn config() -> Config {
 /// Brings the board up: first the motor pads low, the watchdog, the clocks and the stop on the outputs, then all other
 /// parts.
 pub fn init(mut core: cortex_m::Peripherals, device: pac::Peripherals) -> Board {
-    // The pads float after a reset, and the reaction of an ESC to that is unknown. The pull-downs stay enabled: a timer
-    // that is being set up again does not drive its pads.
+    // The pads float after a reset, and the reaction of an ESC to that is unknown. The pull-downs stay enabled, because
+    // a timer that is being set up again does not drive its pads.
     let (mut rcc, parts) = wiring::split(device);
     LINES.pull_pads_down();
 
@@ -220,7 +220,7 @@ pub fn init(mut core: cortex_m::Peripherals, device: pac::Peripherals) -> Board 
         Some(parts.imu_miso.into_alternate()),
         Some(parts.imu_mosi.into_alternate().speed(Speed::High)),
     );
-    // The IMU allows up to 24 MHz; 84 MHz over 8 is 10.5 MHz.
+    // The IMU allows up to 24 MHz; the nearest clock, 84 MHz divided by 8, is 10.5 MHz.
     let _spi = Spi::new(parts.imu_spi, pins, MODE_3, 10.MHz(), &mut rcc);
     let _select = parts.imu_select.into_push_pull_output_in_state(gpio::PinState::High);
     let imu = Imu::new(ImuSpi::new());
@@ -363,10 +363,10 @@ fn send(pulses_us: [f32; 4]) {
     }
 }
 
-/// Puts the stop on the motor pads after a fault, in any state of the outputs. `esc/end.rs` has the time that this
-/// takes.
+/// Sends the stop command to the motor pads after a fault, in any state of the outputs. `esc/end.rs` gives the time
+/// that this takes.
 pub fn stop_after_fault() {
-    // SAFETY: enables the clocks of ports that no other code uses any more.
+    // SAFETY: this enables the clocks of ports that no other code uses any more.
     unsafe { wiring::enable_motor_ports() };
     // SAFETY: the register is only read.
     let on_pll = unsafe { &*pac::RCC::ptr() }.cfgr().read().sws().is_pll();

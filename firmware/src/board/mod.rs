@@ -87,7 +87,8 @@ pub struct Board {
 
 /// Stops the motors, and then waits for the watchdog to reset the board.
 pub fn stop() -> ! {
-    // An unexpected interrupt comes at any priority, and the control loop must not run again.
+    // An unexpected interrupt can have any priority, so it must disable all others: the control loop must not run
+    // again.
     cortex_m::interrupt::disable();
     stop_after_fault();
     halt()

@@ -28,8 +28,9 @@ impl BatteryAdc {
     /// Sets up the measurement of `channel`, which is behind a divider of `ratio`.
     pub fn new(adc: ADC1, common: &ADC_COMMON, channel: u8, ratio: f32, rcc: &mut Rcc) -> Self {
         ADC1::enable(rcc);
-        // APB2's 84 MHz over 4: 21 MHz; the limit is 36 MHz. Temperature sensor and reference on.
-        // SAFETY: the value 1 means "over 4".
+        // The clock is APB2's 84 MHz divided by 4, 21 MHz; the limit is 36 MHz. The temperature sensor and the
+        // reference are on.
+        // SAFETY: the value 1 means "divided by 4".
         common.ccr().write(|w| unsafe { w.adcpre().bits(0b01) }.tsvrefe().set_bit());
         // 480 cycles (23 µs) for each: the reference needs at least 10 µs.
         // SAFETY: sets the fields of all channels.

@@ -82,7 +82,7 @@ impl Wiring {
         }
     }
 
-    /// Starts a burst. For the data-ready interrupt, when no burst is running.
+    /// Starts a burst. The data-ready interrupt calls this if no burst is running.
     pub fn start(&self) {
         self.select(true);
         // Clear the flags of the previous burst.
@@ -241,7 +241,8 @@ impl<W: HasWiring> BurstBus for ImuBus<W> {
     fn abort(&mut self) {
         let wiring = W::IMU;
         wiring.send.stop();
-        // A byte already in the SPI is still sent, and the byte received for it would become the next burst's first.
+        // The SPI still sends a byte that it already has. The byte that it receives meanwhile would become the first
+        // byte of the next burst.
         for _ in 0..BYTE_POLLS {
             if wiring.spi().sr().read().bsy().bit_is_clear() {
                 break;

@@ -38,7 +38,7 @@ impl Flags {
     }
 }
 
-/// Polls until a stream has stopped: it finishes its current item first, which takes a microsecond.
+/// Maximum number of polls until a stream has stopped. It first finishes its current item, which takes a microsecond.
 const STOP_POLLS: u32 = 200;
 
 impl Stream {

@@ -57,7 +57,7 @@ const CLOCK_HZ: f32 = 84.0e6;
 
 /// PWM: time before the start of a period in which no compare value is written, µs.
 const GUARD_US: f32 = 3.0;
-/// Polls of the counter that take longer than that time: each takes more than 5 cycles.
+/// Number of polls of the counter that take longer than that time, because each poll takes more than 5 cycles.
 const GUARD_POLLS: u32 = 120;
 
 /// OneShot125: counts from the start of the timers to the start of the full-throttle pulse. It must not be zero, or
@@ -78,7 +78,7 @@ pub enum SendResult {
     Sent,
     /// The pulses were dropped, because the last ones are still being sent.
     Dropped,
-    /// The pulses are being sent, after a restart: the last ones hung or were cut short.
+    /// The outputs were restarted, because the last pulses hung or were cut short. The new pulses are being sent.
     Recovered,
 }
 
@@ -352,7 +352,7 @@ impl Lines {
         }
     }
 
-    /// Returns whether the last frame ended early: DMA found an error, and the timer repeats the last bit.
+    /// Returns whether the last frame ended early. It does if DMA finds an error; the timer then repeats the last bit.
     #[inline]
     fn was_cut(&self) -> bool {
         match self.protocol {
@@ -450,8 +450,9 @@ impl Timer {
     }
 }
 
-/// Compare values that DMA sends, for each bit one or two pairs of channels. DMA must reach their RAM: the linker puts
-/// no variable into the core-coupled memory (memory.x).
+/// The timer compare values that DMA writes to the timer's registers: for each bit of a frame, the values of one or two
+/// pairs of channels. They must be in RAM that DMA can reach. They are, because the linker puts no variable into the
+/// core-coupled memory (memory.x).
 struct Table([AtomicU32; 2 * DSHOT_SLOTS]);
 
 /// One table for each timer: four pads have at most four timers.

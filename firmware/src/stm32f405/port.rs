@@ -101,10 +101,10 @@ impl<W: HasWiring> Port<W> {
         let regs = W::RECEIVER.regs();
         regs.cr1().reset();
         while self.bytes.dequeue().is_some() {}
-        // With 16-fold oversampling, the register holds the clock over the baud rate in sixteenths, here rounded to the
-        // nearest.
+        // With 16-fold oversampling, the register holds the clock divided by the baud rate, rounded to an
+        // integer. Its last four bits are sixteenths.
         let divider = (self.clock_hz + line.baud / 2) / line.baud.max(1);
-        // SAFETY: 100 or 200 for CRSF, 420 or 840 for SBUS: within the register's range.
+        // SAFETY: the divider is 100 or 200 for CRSF, 420 or 840 for SBUS, so it is within the register's range.
         regs.brr().write(|w| unsafe { w.bits(divider as u16) });
         let two_stop_bits = if line.stop_bits == 2 { 0b10 } else { 0b00 };
         // SAFETY: both values are valid.

@@ -11,9 +11,9 @@
 //! The thresholds are the typical ones of the datasheet's table 19. For a rising supply they are 0.1 V higher.
 //!
 //! The detector is set as low as the flash allows, so that a dip within the chip's limits does not end a flight. Below
-//! that the program may be read wrong, and must not drive motors. With the 6.2 µF that ST asks for at VDD, 100 mA take
-//! 40 µs from 3.3 V down to the threshold: a dip of a microsecond does not reach it. The stop begins a microsecond
-//! after the threshold is crossed.
+//! that level the core may read the program wrongly, and the program must not drive motors. With the 6.2 µF that ST
+//! asks for at VDD, a current of 100 mA takes 40 µs to lower the supply from 3.3 V to the threshold. So a dip of a
+//! microsecond does not reach it. The stop begins a microsecond after the threshold is crossed.
 //!
 //! # Why the firmware does not set the brown-out reset
 //! Its level is an option byte. Setting one erases all option bytes and writes them again. A reset or a power loss in
@@ -25,14 +25,14 @@
 //! # The crystal
 //! The clock security system monitors it. If it fails, the hardware switches to the internal 16 MHz oscillator and
 //! raises the non-maskable interrupt, within microseconds. The core and its bus clocks then run at 16 MHz, and APB1's
-//! timers at 8 instead of 84: every pulse would be ten times too long, and every DShot frame ten times too slow.
+//! timers at 8 instead of 84 MHz. So every pulse would be ten times too long, and every DShot frame ten times too slow.
 //! Therefore sending stops: the pads are pulled down ([`crate::board::stop_after_fault`]), and without a signal an ESC
 //! stops its motor. The watchdog has its own clock, and resets the chip. If the crystal does not start, the clock
 //! set-up waits for it until the watchdog's next reset, and so on, with the pads pulled down.
 //!
-//! The flight could continue with the internal oscillator and the PLL: its 1 % is accurate enough for pulses and for
-//! the receiver. But a failed crystal means a board with mechanical damage, and that code path would be used at most
-//! once in a board's life and could not be tested well.
+//! The flight could continue with the internal oscillator and the PLL: its error of 1 % is small enough for pulses and
+//! for the receiver. But a failed crystal means a board with mechanical damage, and that code path would be used at
+//! most once in a board's life and could not be tested well.
 
 use core::mem::MaybeUninit;
 use core::sync::atomic::{AtomicU32, Ordering};

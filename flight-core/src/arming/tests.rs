@@ -296,8 +296,8 @@ fn sequence() -> impl Strategy<Value = Vec<(C, u32, usize)>> {
 }
 
 proptest! {
-    /// The table with the time in the present state and with requests that are answered once, computed a second time
-    /// and without the shortcut for unchanged conditions.
+    /// Compares the arming with a second implementation of the table, of the time in the present state and of
+    /// requests that are answered once. It does not have the shortcut for unchanged conditions.
     #[test]
     fn any_sequence_is_decided_as_specified(sequence in sequence()) {
         let mut arming = super::Arming::new(1_000_000);

@@ -30,7 +30,7 @@ fn torque_has_the_sign_of_the_stick() {
 
 #[test]
 fn torque_opposes_tilt_heading_and_rate() {
-    // Rolled 0.1 rad to the right: down points to +y.
+    // The vehicle is rolled by 0.1 rad to the right, so down points to +y.
     let torque = controller(CENTRED).step(vec3(0.0, 0.0998, 0.995), 0.0, Vec3::ZERO, FREE, 1e-3);
     assert!(torque.x < 0.0 && torque.y == 0.0);
     let torque = controller(CENTRED).step(Vec3::Z, 0.1, Vec3::ZERO, FREE, 1e-3);
@@ -49,7 +49,7 @@ fn rate_mode_commands_the_rate_of_the_sticks() {
     let commanded = vec3(0.5 * p.max_stick_rate_rad_s, 0.25 * p.max_stick_rate_rad_s, p.max_yaw_rate_rad_s);
     c.reset(commanded, 0.0);
     assert_eq!(c.step(vec3(0.0, 0.6, 0.8), 2.0, commanded, FREE, 1e-3), Vec3::ZERO);
-    // Back in angle mode: level at the present heading.
+    // After the change back to angle mode, the setpoint is level at the present heading.
     c.set_sticks(&CENTRED, FlightMode::Angle);
     c.reset(Vec3::ZERO, 2.0);
     assert_eq!(c.step(Vec3::Z, 2.0, Vec3::ZERO, FREE, 1e-3), Vec3::ZERO);

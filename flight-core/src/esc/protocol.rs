@@ -51,7 +51,7 @@ impl Protocol {
     /// Checks the parameters of the protocol.
     ///
     /// # Errors
-    /// Returns a PWM rate outside 50 to 400 Hz.
+    /// Returns an error for a PWM rate outside 50 to 400 Hz.
     pub fn validate(&self) -> Result<(), ConfigError> {
         match *self {
             Self::Pwm { rate_hz } => check("esc.protocol.rate_hz", rate_hz, 50.0, 400.0),
@@ -85,7 +85,7 @@ pub struct DshotThrottle(u16);
 impl DshotThrottle {
     /// Stop.
     pub const STOP: Self = Self(0);
-    /// Slowest rotation; lower values are commands.
+    /// Throttle value of the slowest rotation; lower values are commands.
     const SLOWEST: f32 = 48.0;
     const FULL: f32 = 2047.0;
 
@@ -289,7 +289,7 @@ mod tests {
         assert!(cfg!(miri) || reached.into_iter().eq([0].into_iter().chain(48..=2_047)));
     }
 
-    /// The checksum bit by bit: bit n is the parity of the bits n + 4, n + 8 and n + 12 of the frame.
+    /// Computes the checksum bit by bit: bit n is the parity of the bits n + 4, n + 8 and n + 12 of the frame.
     fn checksum(frame: u16) -> u16 {
         let parity = |n: u16| [4, 8, 12].map(|nibble| frame >> (n + nibble) & 1).iter().sum::<u16>() % 2;
         (0..4).map(|n| parity(n) << n).sum()

@@ -22,8 +22,8 @@ const MAX_MEAN_S: f32 = 10.0;
 
 /// Estimates the bias of the gyroscope as its mean while the vehicle is at rest, and keeps it in flight.
 ///
-/// White noise of density N leaves an error of N/√T after T seconds: for the 0.0323 °/s/√Hz of the paper and 2 s this
-/// is 0.023 °/s, which causes 0.23° of attitude error in the flight filter with τ = 10 s.
+/// White noise of density N leaves an error of N/√T after T seconds. For the 0.0323 °/s/√Hz of the paper and 2 s this
+/// is 0.023 °/s, which causes 0.23° of attitude error in the estimator `flight`, whose τ is 10 s.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct GyroZero {
     bias: Vec3<f32>,
@@ -63,7 +63,8 @@ impl GyroZero {
             self.bias = self.mean_gyro;
             self.zeroed = true;
         } else {
-            // A steady rate this large is no rest, also after a zeroing: a turntable, or a gyroscope that is stuck.
+            // A steady rate this large is not rest, even after zeroing. It is a turntable, or a gyroscope that is
+            // stuck.
             self.still_s = 0.0;
         }
     }

@@ -12,8 +12,9 @@
 //! | [`EstimatorParams::FLIGHT`] | quaternion | τ = 10 s | flight |
 //! | [`EstimatorParams::ROBUST`] | quaternion | see [`RobustFilter`] | flight with a drifting gyroscope, recordings |
 //!
-//! `paper` is not suitable for flight: in free flight the accelerometer shows tilt only through drag (without drag it
-//! always reads level), so the estimate of a held tilt φ decays at the rate φ/τ. `docs/paper.md` shows this.
+//! The estimator `paper` is not suitable for flight: in free flight the accelerometer shows tilt only through drag
+//! (without drag it always reads level), so the estimate of a held tilt φ decays at the rate φ/τ. `docs/paper.md` shows
+//! this.
 
 mod at_rest;
 mod euler;
@@ -55,7 +56,7 @@ pub enum Weight {
 }
 
 impl Weight {
-    /// α = 0.97 of the paper, taken as the value at 100 Hz: τ = 0.97 · 0.01 s / 0.03 = 0.3233 s.
+    /// The paper's α = 0.97, taken as the value at 100 Hz. Therefore τ = 0.97 · 0.01 s / 0.03 = 0.3233 s.
     pub const PAPER: Self = Self::TimeConstant { tau_s: 0.97 * 0.01 / 0.03 };
 
     fn setting(&mut self) -> Setting<'_> {
@@ -208,12 +209,13 @@ pub trait Filter {
 }
 
 /// A filter of any method.
-// An explicit discriminant: stored in a niche of a field it would take four instructions to read each time.
+// `repr(u32)` gives the enum an explicit discriminant. Without it the compiler stores the discriminant in unused values
+// of a field, and each read of it takes four instructions.
 #[derive(Clone, Copy, Debug)]
 #[repr(u32)]
 pub enum Filters {
-    /// Complementary filter on a quaternion. First, because it is the usual filter in flight: a comparison with 0
-    /// needs no second instruction.
+    /// Complementary filter on a quaternion. It is the usual filter in flight. It is the first variant, so that its
+    /// discriminant is 0, because a comparison with 0 takes one instruction less than one with another number.
     Quaternion(QuaternionFilter),
     /// Complementary filter in Euler angles.
     Euler(EulerFilter),
@@ -302,8 +304,8 @@ impl Estimator {
     }
 
     /// Returns whether the input needs no prefilter, because the filter averages accelerometer and magnetometer over
-    /// seconds. A prefilter would only delay the attitude: 30 Hz by √2/(2π · 30 Hz) = 7.5 ms, which is 1.5° at
-    /// 200 °/s.
+    /// seconds. A prefilter would only delay the attitude. With a cutoff of 30 Hz the delay is
+    /// √2/(2π · 30 Hz) = 7.5 ms, which at 200 °/s is an error of 1.5°.
     #[inline(always)]
     pub fn is_low_pass(&self) -> bool {
         fn of<F: Filter>(_: &F) -> bool {

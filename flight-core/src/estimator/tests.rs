@@ -84,7 +84,7 @@ fn weights_at_100_hz_285_hz_and_1_khz() {
     };
     let paper = weight(EstimatorParams::PAPER);
     assert!((paper.measurement_weight(0.01) - 0.03).abs() < 1e-7);
-    // τ/(τ + Δt) at 285.714 Hz, the rate of the recordings: α = 0.98929.
+    // The rate of the recordings is 285.714 Hz, so α = τ/(τ + Δt) = 0.98929.
     assert!((1.0 - paper.measurement_weight(0.0035) - 0.989_29).abs() < 1e-5);
     assert!((weight(EstimatorParams::PAPER_LITERAL).measurement_weight(0.001) - 0.03).abs() < 1e-7);
 }
@@ -92,7 +92,7 @@ fn weights_at_100_hz_285_hz_and_1_khz() {
 #[test]
 #[cfg_attr(miri, ignore = "7,000 steps of each filter")]
 fn follows_turns_past_180_degrees_without_a_jump() {
-    // About each axis in turn, 1 rad/s for 7 s: past ±180° of roll and yaw, and back.
+    // The vehicle turns about each axis in turn, with 1 rad/s for 7 s: roll and yaw pass ±180° and come back.
     for (axis, singular) in [(0, false), (1, true), (2, false)] {
         for (n, mut e) in all().into_iter().enumerate() {
             if singular && n < 2 {
@@ -277,7 +277,7 @@ fn paper_equals_a_filter_in_f64_over_random_motion() {
     let rms = (sum / (3.0 * f64::from(steps))).sqrt();
     std::println!("paper in f32 against f64: {rms:e} rad RMS, {worst:e} rad at most, {crossings} crossings");
     assert!(crossings > 50, "roll passes half a turn {crossings} times");
-    // The measured error of f32: 9.6e-7 rad RMS, and at most 7.3e-6 rad, where 1/cos θ is 2.
+    // The measured error of f32 is 9.6e-7 rad RMS, and at most 7.3e-6 rad. The maximum is where 1/cos θ is 2.
     assert!(rms < 1.2e-6 && worst < 9e-6, "{rms:e} {worst:e}");
 }
 
@@ -433,7 +433,7 @@ mod robust {
                 worst = worst.max(tilt(&e));
             }
             let bound = 0.645 * (accel * seconds).abs() / (G * TAU_S);
-            // 3 % more, because the filter attributes a part to the bias for a while.
+            // The bound allows 3 % more, because the filter attributes a part to the bias for a while.
             assert!(
                 worst <= 1.03 * bound && worst > min_share * bound,
                 "{accel} {seconds}: {worst}, {bound}"
@@ -477,7 +477,8 @@ mod robust {
     #[test]
     #[cfg_attr(miri, ignore = "minutes of rest")]
     fn start_in_a_gust_does_not_change_the_field() {
-        // The first sample contains 2 m/s² of wind: 11.5° of tilt, which moves 8 µT between horizontal and vertical.
+        // The first sample contains 2 m/s² of wind. It shows 11.5° of tilt, which moves 8 µT of the field between
+        // horizontal and vertical.
         let mut e = robust();
         e.update(Vec3::ZERO, LEVEL + vec3(0.0, 2.0, 0.0), Some(FIELD), 0.0);
         assert!(tilt(&e) > 11.0 * DEGREE);
@@ -509,7 +510,7 @@ mod robust {
         let offset = vec3(1.5, -1.0, 1.0);
         let mut worst = 0.0_f32;
         for k in 0..24_000_u16 {
-            // 120 s of turns about all axes, back and forth.
+            // The vehicle turns about all axes, back and forth, for 120 s.
             let t = f32::from(k) * 0.005;
             let angles = [1.0 * (0.9 * t).sin(), 0.8 * (1.3 * t).sin(), 2.0 * (0.7 * t).sin()];
             let ahead = [0.9 * (0.9 * t).cos(), 1.04 * (1.3 * t).cos(), 1.4 * (0.7 * t).cos()];
@@ -526,7 +527,7 @@ mod robust {
                 worst = worst.max(apart(e.attitude(), q));
             }
         }
-        // Without the estimate 1.5 µT of 25 µT is an error of 3.4°.
+        // If the filter did not estimate the offset, 1.5 µT of 25 µT would be an error of 3.4°.
         assert!(worst < 1.2 * DEGREE, "{} deg", worst / DEGREE);
     }
 

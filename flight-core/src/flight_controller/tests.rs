@@ -18,7 +18,7 @@ fn params() -> Params {
     }
 }
 
-/// Level and at rest: 1 g in counts of 16 g over 32,768.
+/// A sample of a vehicle that is level and at rest: 1 g, in counts of 16 g/32,768.
 const LEVEL: ImuSample = ImuSample { gyro: [0; 3], accel: [0, 0, -2048] };
 /// A field of 25 µT north and 41 µT down, in counts of 1/30 µT.
 const NORTH: MagSample = MagSample { counts: [750, 0, 1230] };
@@ -126,7 +126,7 @@ fn vehicle_arms_flies_by_the_sticks_and_disarms() {
     let (output, _) = harness.run(1_500);
     assert_eq!((output.pulses_us, output.permit.is_none()), ([1_000.0; 4], true));
     harness.frame = ARM;
-    // 1 s of gesture from the first frame with a link, then 0.5 s of checks.
+    // The gesture takes 1 s from the first frame with a link, and the checks take another 0.5 s.
     assert_eq!(harness.run(1_000).0.state, ArmState::Disarmed);
     assert_eq!(harness.run(100).0.state, ArmState::Arming);
     assert_eq!(harness.run(500).0.state, ArmState::Armed);
@@ -149,7 +149,7 @@ fn every_obstacle_to_arming_is_reported() {
     let obstacles: [(Cause, Change); 5] = [
         (Cause::BatteryLow, |harness| harness.battery_v = 10.4),
         (Cause::BenchLock, |harness| harness.health.usb = true),
-        // 30° to the right: sine and cosine of gravity.
+        // The vehicle is rolled 30° to the right, so y and z read the sine and the cosine of 30° times gravity.
         (Cause::NotLevel, |harness| harness.sample.accel = [0, -1024, -1774]),
         // 366 °/s.
         (Cause::NotStill, |harness| harness.sample.gyro = [6_000, 0, 0]),
@@ -231,11 +231,11 @@ fn step_needs_later_time_or_a_clock_set_back() {
     let mut controller = started();
     assert_eq!(at(&mut controller, 1_000_000, 2_000), 1_000, "the same time again");
     assert_eq!(at(&mut controller, 999_990, 2_000), 1_000);
-    // Earlier by at most the permitted age of an IMU sample: the previous time stays valid.
+    // If the time stamp is earlier by at most the permitted age of an IMU sample, the previous time stays valid.
     assert_eq!(at(&mut controller, 900_000, 2_000), 1_000);
     assert_eq!(at(&mut controller, 950_000, 2_000), 1_000);
     assert_eq!(at(&mut controller, 1_000_001, 2_000), 2_000);
-    // Earlier by more: time continues from the new value.
+    // The time stamp is earlier by more than that: time continues from the new value.
     let mut controller = started();
     assert_eq!(at(&mut controller, 899_999, 2_000), 1_000);
     assert_eq!(at(&mut controller, 900_000, 2_000), 2_000);
@@ -336,7 +336,7 @@ fn switch_selects_the_mode_except_in_a_descent() {
         front_left + 50.0 < front_right && rear_left + 50.0 < rear_right
     };
     assert!(levels(harness.run(100).0.pulses_us));
-    // A critical battery: level, at any position of the switch.
+    // The battery is critical, so the setpoint is level at any position of the switch.
     harness.frame.mode_switch = HIGH_TICKS;
     harness.battery_v = 8.5;
     let (output, event) = harness.run(3_200);
@@ -369,7 +369,7 @@ fn upside_down_is_stopped_in_angle_mode_only() {
         let mut harness = Harness::flying(params(), 0.5);
         harness.frame.mode_switch = mode_switch;
         harness.run(50);
-        // Half a turn in 0.5 s, then free fall, which shows no tilt.
+        // The vehicle makes half a turn in 0.5 s. Then it falls freely, which shows no tilt.
         harness.sample = ImuSample { gyro: [5_904, 0, 0], accel: [0; 3] };
         harness.run(500);
         harness.sample.gyro = [0; 3];

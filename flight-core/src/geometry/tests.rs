@@ -67,7 +67,7 @@ fn products_of_unit_vectors_and_quaternions() {
     assert_eq!([Vec3::X.cross(y), y.cross(Vec3::Z), Vec3::Z.cross(Vec3::X)], [Vec3::Z, Vec3::X, y]);
     assert_eq!(vec3(2.0_f32, 3.0, 6.0).norm(), 7.0);
     assert_eq!(Mat3::from_rows([[0.0, 1.0, 2.0], [3.0, 4.0, 5.0], [6.0, 7.0, 8.0]])[1], vec3(3.0, 4.0, 5.0));
-    // i j = k, j k = i, k i = j: the Hamilton convention.
+    // The Hamilton convention is i j = k, j k = i, k i = j.
     let [i, j, k] = [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0_f64)]
         .map(|(x, y, z)| Quaternion::new(0.0, x, y, z));
     assert_eq!([i * j, j * k, k * i], [k, i, j]);
@@ -106,7 +106,7 @@ proptest! {
         prop_assert!(near((a * k) * v, (a * v) * k));
         prop_assert_eq!(Mat3::IDENTITY * a, a);
         prop_assert_eq!(a.transpose().transpose(), a);
-        // (A v) · w = v · (Aᵀ w), here for the unit vectors: each element of the transpose.
+        // (A v) · w = v · (Aᵀ w). With the unit vectors for v and w, this checks each element of the transpose.
         for (row, unit) in Mat3::<f64>::IDENTITY.rows.into_iter().enumerate() {
             prop_assert_eq!(a.transpose()[row], a * unit);
         }

@@ -74,8 +74,8 @@ mod tests {
     };
 
     proptest! {
-        /// Computed from the times of the good frames alone: the link holds if good frames with gaps of at most 0.5 s
-        /// reach from 0.5 s ago up to now.
+        /// The test computes the state of the link from the times of the good frames alone. The link holds if good
+        /// frames, at most 0.5 s apart, reach from 0.5 s ago up to now.
         #[test]
         fn link_holds_after_half_a_second_without_a_gap(
             past in prop::collection::vec((

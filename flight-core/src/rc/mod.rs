@@ -159,8 +159,8 @@ mod tests {
     use proptest::prelude::*;
 
     proptest! {
-        /// For any ticks: inside the range a straight line on either side of the centre, beyond the ends full
-        /// deflection.
+        /// Compares the positions for any ticks with a straight line on either side of the centre. Beyond the ends of
+        /// the range the deflection is full.
         #[test]
         fn any_ticks_give_positions_in_range(
             channels in prop::array::uniform4(prop_oneof![
@@ -171,7 +171,8 @@ mod tests {
             let frame = RcFrame { channels, arm_switch: 0, mode_switch, status: LinkStatus::Good };
             let sticks = Sticks::from_frame(&frame);
             let line = |ticks: u16, low: f64, high: f64| {
-                // From 0 to 1 over the upper half; below the centre the same slope, limited to `low`.
+                // The result goes from 0 to 1 over the upper half. Below the centre it has the same slope, and is
+                // limited to `low`.
                 let at = f64::from(ticks.clamp(172, 1811));
                 if high == 1811.0 - 172.0 { (at - 172.0) / high } else { ((at - 992.0) / high).max(low) }
             };

@@ -111,7 +111,7 @@ mod tests {
             for (gesture, switch, lost, times, dt_us) in past {
                 for _ in 0..times {
                     requests.update(by, gesture, switch, lost, dt_us);
-                    // Three quarters of the way from 172 to 1811 is 1401, a quarter is 582.
+                    // The range is 172 to 1811 ticks. Three quarters of it end at 1401, a quarter at 582.
                     let (on, off) = (switch > 1_401, switch < 582);
                     switch_was_off = !lost && (switch_was_off || !on);
                     let now = match by {

@@ -66,7 +66,8 @@ impl<'a> Summary<'a> {
         libm::sqrt(self.runs.iter().map(square).sum::<f64>() / self.runs.len().max(1) as f64)
     }
 
-    /// Returns the attitude error that `percent` of the runs do not exceed, degrees: that of the run at this rank.
+    /// Returns the attitude error that `percent` of the runs do not exceed, degrees. It is the error of the run at this
+    /// rank.
     fn attitude_percentile_deg(&self, percent: usize) -> f64 {
         let mut errors: Vec<f64> = self.runs.iter().map(|run| run.outcome.attitude_rmse_deg).collect();
         errors.sort_by(f64::total_cmp);

@@ -222,7 +222,7 @@ fn worst_runs_are_sorted_and_crashes_listed_separately() {
     assert_eq!(runs_of("by_attitude_error"), [7, 4, 8, 2, 0]);
     assert_eq!(runs_of("by_tilt"), [8, 7, 6, 4, 3]);
     assert_eq!((summary.crashes(), json["crashed"].as_bool()), (1, Some(true)));
-    // 9, 6, 5, 5, 4, 3, 2, 1, 1: the fifth of nine, and the ninth.
+    // The errors in order are 9, 6, 5, 5, 4, 3, 2, 1, 1. The two values are the fifth of nine, and the ninth.
     assert_eq!((&json["attitude_median_deg"], &json["attitude_95_percent_deg"]), (&4.0.into(), &9.0.into()));
     let text = summary.to_string();
     assert!(text.contains("1.500 s: tilt above 90°"), "{text}");

@@ -133,7 +133,7 @@ fn write_run(d: &mut String, points: &[Point]) {
     }
     let mut at = first;
     for (n, &point) in rest.iter().enumerate() {
-        // A minus sign separates two numbers as well as a space does.
+        // A minus sign separates two numbers, so no space is needed before it.
         let (dx, dy) = (point.0 - at.0, point.1 - at.1);
         let before = if n == 0 || dx < 0 { "" } else { " " };
         let between = if dy < 0 { "" } else { " " };

@@ -220,7 +220,7 @@ impl Sampling for Chip {
         self.latest = None;
     }
 
-    // The period of the fastest sensor that is on.
+    // Returns the sample period of the fastest sensor that is on, ns.
     fn period_ns(&self) -> Option<u64> {
         let period_ns = |on_ns: Option<u64>, config| {
             let period_ns = PERIOD_NS[usize::from(self.setting(config) & 0x0f)];

@@ -7,9 +7,9 @@
 //! A model answers as the datasheet says, and records as [`Misuse`] what the datasheet forbids. Where the datasheet
 //! does not say anything, the model assumes the worst case for the driver, and its documentation says so.
 //!
-//! Time is a [`Clock`], in integer nanoseconds. The test advances it; so do the driver's delays and every byte on a
-//! bus. At every access a chip catches up with the clock: it takes the samples that have become due, each for its own
-//! time, from the closure that it was created with.
+//! Time is a [`Clock`], in integer nanoseconds. The test, the driver's delays and every byte on a bus advance it. At
+//! every access a chip catches up with the clock: it takes the samples that have become due, each for its own time,
+//! from the closure that it was created with.
 
 pub mod icm42688p;
 pub mod qmc5883l;

@@ -59,7 +59,7 @@ pub fn fly(scene: &Scene, arguments: &FlyArguments) -> Result<Answer, InputError
     Ok(answer)
 }
 
-/// Merges the shards of a campaign: the result is that of the campaign flown at once.
+/// Merges the shards of a campaign. The result equals that of the whole campaign, flown by one call.
 pub fn merge(arguments: &MergeArguments) -> Result<Answer, InputError> {
     let parts: Vec<&Path> = arguments.parts.iter().map(PathBuf::as_path).collect();
     check_outputs(&parts, &[("--out", arguments.out.as_deref())])?;

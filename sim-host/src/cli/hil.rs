@@ -106,8 +106,8 @@ fn fly_once(
 }
 
 fn faults(arguments: &HilArguments) -> Faults {
-    let from_us = (arguments.delay_at_s.unwrap_or(0.0) * 1e6) as u64;
-    let for_us = u64::from(arguments.delay_ms.unwrap_or(0)) * 1_000;
+    let from_us = (arguments.drop_at_s.unwrap_or(0.0) * 1e6) as u64;
+    let for_us = u64::from(arguments.drop_for_ms.unwrap_or(0)) * 1_000;
     let flip_bit_every = arguments.flip_bit_every.and_then(NonZeroU32::new);
     Faults { flip_bit_every, dropped_us: from_us..from_us + for_us }
 }

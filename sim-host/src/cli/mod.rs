@@ -213,18 +213,19 @@ struct HilArguments {
         allow_negative_numbers = true, value_parser = whole_number::<u32>(1, u32::MAX.into())
     )]
     flip_bit_every: Option<u32>,
-    /// Test of the link: time in the scene at which frames to the firmware begin to be dropped, s
+    /// Test of the link: drop all frames to the firmware from T seconds after the start of the scene, for the time of
+    /// --drop-for-ms
     #[arg(
-        long, value_name = "T", requires = "delay_ms",
+        long, value_name = "T", requires = "drop_for_ms",
         allow_negative_numbers = true, value_parser = seconds_from_zero
     )]
-    delay_at_s: Option<f64>,
-    /// Test of the link: time for which all frames to the firmware are dropped, from --delay-at-s on, ms
+    drop_at_s: Option<f64>,
+    /// Test of the link: drop all frames to the firmware for D milliseconds of the scene, from the time of --drop-at-s
     #[arg(
-        long, value_name = "D", requires = "delay_at_s",
+        long, value_name = "D", requires = "drop_at_s",
         allow_negative_numbers = true, value_parser = whole_number::<u32>(0, u32::MAX.into())
     )]
-    delay_ms: Option<u32>,
+    drop_for_ms: Option<u32>,
 }
 
 #[derive(clap::Args)]

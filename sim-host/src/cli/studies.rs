@@ -27,7 +27,7 @@ pub fn run(command: &str, forwarded: &ForwardedArguments, json: bool) -> ExitCod
     let status = studies.status();
     match status.map(|status| status.code()) {
         Ok(Some(code)) => ExitCode::from(u8::try_from(code).unwrap_or(BAD_INPUT)),
-        // Ended by a signal, nearly always Ctrl-C: 128 + 2 (SIGINT), as in shells.
+        // The program was ended by a signal, nearly always by Ctrl-C. As in shells, the code is 128 + 2 (SIGINT).
         Ok(None) => ExitCode::from(130),
         Err(error) => {
             let allowed = format!("needs cargo, to build the program `studies`: {error}");

@@ -230,7 +230,7 @@ fn proposal(
     json["proposed"]["gains"] = json!(table);
     write!(
         text,
-        "\n\n  flown in `steps`: doublets of {:.0}°, overshoot {:.0} %, {}",
+        "\n\n  flown in the scene `steps`: doublets of {:.0}°, overshoot {:.0} %, {}",
         step_rad.to_degrees(),
         overshoot * 100.0,
         outcome

@@ -50,10 +50,14 @@ impl Ground {
 
     /// Returns the smallest moment of inertia on these legs for which steps of 1 ms are stable, kg·m².
     ///
-    /// With the arm l and legs of length h, the damping rates of the rotation are: 2 c l²/I by the four dampers, where
-    /// c = 34.7/s · m for the 1 mm of `REST_DEPTH_M`; (μ g/creep = 118/s) · m h²/I by friction at rest; and
-    /// 118/s · m l²/I by friction about the vertical. All are below 120/s · m (l² + 2h²)/I. With this bound on I that is
-    /// 2,400/s, and RK4 is stable up to 2,780/s. OS4 has 600/s.
+    /// The vehicle has the mass m, the moment of inertia I, arms of length l and legs of length h. The damping rates of
+    /// its rotation are:
+    /// - 2 c l²/I by the four dampers, where the damping c is 34.7/s · m with the 1 mm of `REST_DEPTH_M`,
+    /// - 118/s · m h²/I by friction at rest, where 118/s is μ g divided by the creep speed,
+    /// - 118/s · m l²/I by friction about the vertical.
+    ///
+    /// All are below 120/s · m (l² + 2h²)/I. With the smallest I that is 2,400/s, and RK4 is stable up to 2,780/s. OS4
+    /// has 600/s.
     pub fn min_inertia_kg_m2(params: &VehicleParams) -> f64 {
         let VehicleParams { mass_kg, feet_m, .. } = params;
         let arm_m = params.arm_m();

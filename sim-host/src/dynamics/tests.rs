@@ -187,8 +187,8 @@ fn printed_equations_11_and_12_are_reversed_at_90_deg_yaw() {
     assert!(a.y < -1.0 && (a.y + y).abs() < 1e-9);
 }
 
-/// Eqs 8-10 taken literally (as accelerations of the Euler angles) against the rigid body, both integrated from the
-/// same rates: equal for small angles, different for large ones.
+/// Compares eqs 8-10 taken literally (as accelerations of the Euler angles) with the rigid body. Both are integrated
+/// from the same rates. They are equal for small angles and different for large ones.
 #[test]
 fn printed_equations_8_to_10_fail_at_large_angles() {
     let departure = |rate: f64| {
@@ -196,7 +196,7 @@ fn printed_equations_8_to_10_fail_at_large_angles() {
         let mut v = in_the_air(vec![]);
         let rates = vec3(rate, rate, rate);
         v.set_state(State { rates, ..*v.state() }, rotors);
-        // The printed form: φ̈ θ̈ ψ̈ from φ̇ θ̇ ψ̇, by small Euler steps.
+        // This integrates the printed form, φ̈ θ̈ ψ̈ as functions of φ̇ θ̇ ψ̇, by small Euler steps.
         let (mut angles, mut angle_rates) = (Vec3::ZERO, rates);
         for _ in 0..100_000 {
             let a = printed_8_to_10(angle_rates, rotors);
@@ -207,7 +207,7 @@ fn printed_equations_8_to_10_fail_at_large_angles() {
         let d = euler(angles.x, angles.y, angles.z).conjugate() * v.state().attitude;
         2.0 * libm::asin(d.v.norm())
     };
-    // The difference grows as the product of two angles: 0.05 rad → below 0.003, 0.8 rad → above 0.1.
+    // The difference grows as the product of two angles. It is below 0.003 at 0.05 rad, and above 0.1 at 0.8 rad.
     assert!(departure(0.05) < 0.003, "{}", departure(0.05));
     assert!(departure(0.8) > 0.1, "{}", departure(0.8));
 }
@@ -227,7 +227,7 @@ fn torque_free_tumbling_keeps_energy_and_momentum() {
 
 #[test]
 fn symmetric_top_matches_its_closed_form() {
-    // I_x = I_y: the transverse rate rotates about z at exactly (I_z − I_x)/I_x · r.
+    // With I_x = I_y the transverse rate rotates about z at exactly (I_z − I_x)/I_x · r.
     let mut v = in_the_air(vec![]);
     v.set_state(State { rates: vec3(1.0, 0.0, 6.0), ..*v.state() }, [0.0; 4]);
     run(&mut v, 3.0);

@@ -278,8 +278,8 @@ impl<W: Wire> Link<W> {
         let length = encode(number, message, &mut frame)
             .map_err(|_| LinkError::Io(io::Error::other("a message longer than a frame")))?;
         spoil(&mut frame[..length]);
-        // A second zero: if the flipped bit is in the zero that ends the frame, this one ends it, so that the firmware
-        // answers.
+        // Send a second zero. If the flipped bit is in the zero that ends the frame, this one ends it, so that the
+        // firmware answers.
         let mut bytes = [0; MAX_FRAME + 1];
         bytes[..length].copy_from_slice(&frame[..length]);
         self.wire.write_all(&bytes[..=length]).and_then(|()| self.wire.flush()).map_err(LinkError::Io)

@@ -33,10 +33,10 @@ const MONITOR: &str = "monitor.socket";
 
 /// Time between two polls of QEMU.
 const POLL: Duration = Duration::from_micros(50);
-/// Longest wait for QEMU to sleep, polls: 10,000 of at least 50 µs are half a second or more. A QEMU that works for longer
-/// has hung, which the wire detects.
+/// Maximum number of polls in one wait until QEMU's threads sleep. 10,000 polls of at least 50 µs take at least 0.5 s.
+/// If QEMU works for longer, it hangs. The wait then ends, and the code that waits for QEMU's answer reports the hang.
 const MAX_WORK_POLLS: u32 = 10_000;
-/// Longest wait for QEMU's monitor, polls: 50,000 of at least 50 µs are 2.5 s or more.
+/// Maximum number of polls in one wait for QEMU's monitor. 50,000 polls of at least 50 µs take at least 2.5 s.
 const MAX_MONITOR_POLLS: u32 = 50_000;
 
 /// A running QEMU that passes each line of the firmware's log to `print`.

@@ -13,13 +13,13 @@ use serial2::SerialPort;
 use super::link::{OnTimeout, Wire};
 use input::InputError;
 
-/// Rate of the port, bits per second; 8 data bits, no parity, one stop bit. A step and its answer have at most 120 bytes,
-/// 1200 bits: 1.3 ms.
+/// Rate of the port, bits per second; 8 data bits, no parity, one stop bit. A step and its answer have at most 120
+/// bytes, or 1,200 bits, which take 1.3 ms.
 pub const BAUD: u32 = 921_600;
 /// Longest wait for the answer to a frame. A USB converter alone may delay a byte by 16 ms; QEMU on a busy
 /// machine may take much longer.
 const FRAME_WAIT: Duration = Duration::from_secs(2);
-/// Frames in a row without an answer that end the flight.
+/// Number of frames in a row without an answer after which the flight ends.
 const MAX_UNANSWERED: u32 = 10;
 
 /// A serial port with a board.

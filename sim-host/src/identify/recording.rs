@@ -65,7 +65,7 @@ pub struct Recording {
     bytes_per_row: f64,
 }
 
-/// The layout given by the caller; `None` means: find it.
+/// The layout that the caller gives; `None` to find it in the file.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Layout {
     /// Separator of the columns.

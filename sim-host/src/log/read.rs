@@ -287,7 +287,7 @@ fn numbers<const N: usize>(
     Ok(values)
 }
 
-/// Does [`numbers`] for optional columns; `None` if the columns are missing or all cells are empty.
+/// Reads optional columns as [`numbers`] does. Returns `None` if the columns are missing or all cells are empty.
 fn optional<const N: usize>(
     cells: &ByteRecord,
     names: [&str; N],

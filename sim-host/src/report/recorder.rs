@@ -34,9 +34,9 @@ pub enum Channel {
     Height,
     /// Height of the pilot's target above the start, at least 0, m.
     HeightTarget,
-    /// Distance north of the pilot's target, m; without a pilot, of the start.
+    /// Distance to the north of the pilot's target, m. Without a pilot, it is measured from the start.
     North,
-    /// Distance east of the pilot's target, m; without a pilot, of the start.
+    /// Distance to the east of the pilot's target, m. Without a pilot, it is measured from the start.
     East,
 }
 

@@ -63,7 +63,7 @@ pub struct Fault {
     sensor: FaultySensor,
     /// Start of the fault, s.
     at_s: f64,
-    /// Duration of the fault, s; `None`: until the end.
+    /// Duration of the fault, s; `None` if it lasts until the end.
     for_s: Option<f64>,
     /// Axis of `stuck_axis` and `spike`.
     axis: Option<Axis>,

@@ -14,7 +14,7 @@ use input::check::in_range;
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct SceneFile {
-    /// The scene that this one changes. It is merged before this is parsed.
+    /// The scene that this one changes. The two are merged before this text is parsed.
     #[serde(default, rename = "include")]
     _include: Option<String>,
     pub scene: SceneTable,
@@ -40,17 +40,17 @@ pub(super) struct SceneTable {
     pub description: String,
     pub duration_s: f64,
     pub seed: u64,
-    /// The vehicle, loaded before this is parsed.
+    /// The vehicle. It is loaded before this text is parsed.
     #[serde(rename = "vehicle")]
     _vehicle: String,
-    /// The IMU preset, loaded before this is parsed: its values complete the effects.
+    /// The IMU preset. It is loaded before this text is parsed, and its values complete the effects.
     #[serde(rename = "imu")]
     _imu: String,
     #[serde(default)]
     pub mount: MountName,
     #[serde(default)]
     pub aerobatic: bool,
-    /// Place and date of the Earth's magnetic field; `None`: Ankara.
+    /// Place and date of the Earth's magnetic field; `None` for Ankara.
     pub place: Option<PlaceTable>,
 }
 
@@ -84,9 +84,9 @@ pub(super) enum MountName {
 #[derive(Clone, Debug, Default, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Flight {
-    /// Name of the estimator; `None`: the vehicle's.
+    /// Name of the estimator; `None` for the vehicle's.
     pub estimator: Option<String>,
-    /// Cutoff of the prefilter; `None`: the vehicle's.
+    /// Cutoff of the prefilter; `None` for the vehicle's.
     pub prefilter_hz: Option<vehicle::Cutoff>,
     /// Declination, added to the magnetic heading, positive east.
     #[serde(default)]

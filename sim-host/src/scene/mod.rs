@@ -126,7 +126,7 @@ pub struct Scene {
     pub ball_joint: bool,
     /// Whether a tilt above 90° is intended and so is not a crash.
     pub aerobatic: bool,
-    /// The pilot; `None`: the vehicle lies on the bench and does not fly.
+    /// The pilot; `None` if the vehicle lies on the bench and does not fly.
     pub pilot: Option<PilotScript>,
     /// Configuration of the flight controller.
     pub config: Config,

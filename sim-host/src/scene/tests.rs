@@ -193,7 +193,7 @@ fn with_effects(names: &[&str]) -> Scene {
         let requested = |effect: &str| names.contains(&format!("{group}.{effect}").as_str());
         effects.as_table_mut().unwrap().retain(|effect, _| requested(effect));
     }
-    // The duration of the included scene: the frequency band of the flicker noise depends on it.
+    // The duration is that of the included scene, because the frequency band of the flicker noise depends on it.
     let mut text: toml::Table = BARE.replace("duration_s = 1.0", "duration_s = 30.0").parse().unwrap();
     text.insert("effects".into(), effects.into());
     Scene::parse("some", &text.to_string()).unwrap()
@@ -229,7 +229,7 @@ fn effects_do_not_change_each_others_draws() {
     let mut names = Scene::parse("every", EVERY_EFFECT).unwrap().effects();
     names.retain(|name| groups.iter().any(|group| name.starts_with(group)));
     let every = contributions(&with_effects(&names));
-    // Wind needs a drag, which draws no random numbers.
+    // Wind needs an effect of drag. This drag draws no random numbers.
     let alone = |name| contributions(&with_effects(&[name, "vehicle.quadratic_drag"]));
     for (i, first) in every.iter().enumerate() {
         assert_eq!(alone(first.0), std::slice::from_ref(first), "alone and with all the others");

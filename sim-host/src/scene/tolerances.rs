@@ -89,7 +89,7 @@ struct Quantity {
     unit: &'static str,
     /// Suffixes of the names of its axes or rotors.
     axes: &'static [&'static str],
-    /// Largest absolute bound, for a quantity without a value in the scene; `None`: half of the scene's value.
+    /// Largest absolute bound, for a quantity without a value in the scene; `None` if it is half of the scene's value.
     largest: Option<f64>,
     /// Returns the scene's values, one for each axis; zeros for a quantity that is added to an error.
     values: fn(&Scene) -> Vec<f64>,
@@ -363,7 +363,7 @@ mod tests {
                 squares += (mass_kg - 0.65) * (mass_kg - 0.65);
             }
             let deviation = libm::sqrt(squares / runs as f64) / 0.065;
-            // Five standard errors of a deviation from 20,000 draws: 5/√40,000.
+            // The bound is five standard errors of a deviation from 20,000 draws, 5/√40,000.
             assert!((deviation / expected - 1.0).abs() < 0.025, "{distribution}: {deviation}");
         }
     }

@@ -231,7 +231,7 @@ fn board_in_an_endless_loop_counts_as_silent() {
 #[test]
 fn flight_with_link_faults_ends_with_exit_code_1() {
     for (arguments, unanswered) in
-        [(&["--flip-bit-every", "7000"][..], 2), (&["--delay-at-s", "9", "--delay-ms", "30"], 30)]
+        [(&["--flip-bit-every", "7000"][..], 2), (&["--drop-at-s", "9", "--drop-for-ms", "30"], 30)]
     {
         let (flown, code) = Workspace::new().fly("good", arguments);
         assert_eq!((code, &flown["unanswered"]), (Some(1), &unanswered.into()), "{flown}");
@@ -327,8 +327,8 @@ fn bad_input_gives_a_one_line_error_and_exit_code_2() {
         &["--serial", "port", "--image", "image"],
         &["--serial", "port", "--firmware-log"],
         &["--qemu", "--flip-bit-every", "0"],
-        &["--qemu", "--delay-at-s", "1"],
-        &["--qemu", "--delay-at-s", "-1", "--delay-ms", "5"],
+        &["--qemu", "--drop-at-s", "1"],
+        &["--qemu", "--drop-at-s", "-1", "--drop-for-ms", "5"],
     ] {
         assert_eq!(
             workspace.call("good", arguments).output().unwrap().status.code(),

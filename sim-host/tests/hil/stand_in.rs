@@ -85,7 +85,7 @@ impl Board {
 
     fn get_ready(&mut self) {
         match self.behaviour {
-            // Version 9, a message of one byte, number 0.
+            // The packet has version 9, a message of one byte, and the number 0.
             Behaviour::OtherVersion => self.sent.extend(encode_by_hand(&[9, 1, 0, 0, 0, 0, 0, 2])),
             Behaviour::SendsNoise => self.sent.extend([7; 100_000]),
             // Message type 200, which does not exist.

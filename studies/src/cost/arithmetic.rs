@@ -125,7 +125,7 @@ fn ulp(value: f64) -> f64 {
 /// Returns the largest error, absolute or relative, and in units of the last place of an f32.
 fn worst(problem: &Problem, function: Function, inputs: &[(f32, f32)], exact: &[TwoFloat]) -> (f64, f64) {
     inputs.iter().zip(exact).fold((0.0, 0.0), |(error, ulps), (&(a, b), exact)| {
-        // First the difference to the high part, which is nearly exact, then the low part.
+        // Subtract the high part first, which is nearly exact, then the low part.
         let off = ((function(a, b) - exact.hi()) - exact.lo()).abs();
         // −π and π are the same angle.
         let off = if problem.name == "atan2" { off.min((off - std::f64::consts::TAU).abs()) } else { off };
@@ -145,7 +145,7 @@ pub fn study(options: &Options, progress: Progress) -> Result<Study, InputError>
     for (n, problem) in PROBLEMS.iter().enumerate() {
         let inputs = (problem.inputs)(stride);
         let exact: Vec<TwoFloat> = inputs.iter().map(|&(a, b)| (problem.exact)(a, b)).collect();
-        // Only as many inputs as fit into the cache.
+        // Use only as many inputs as fit into the cache.
         let timed = &inputs[..inputs.len().min(2000)];
         for (kind, function) in KINDS.iter().zip(problem.functions) {
             let (error, ulps) = worst(problem, function, &inputs, &exact);

@@ -199,7 +199,7 @@ mod tests {
 
     #[test]
     fn coning_drift_matches_the_closed_form() {
-        // One sample at 500 Hz: sin²a/2 (β − sin β)/h, with β = ω h.
+        // For one sample at 500 Hz the error is sin²a/2 (β − sin β)/h, with β = ω h.
         let cone = Cone { a: 1.0_f64.to_radians(), w: TAU * 20.0 };
         let motion = Motion::Cone(cone);
         let h = 1.0 / 500.0;

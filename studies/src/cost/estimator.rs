@@ -2,8 +2,8 @@
 //!
 //! Every estimator gets the same samples: those of a recording, or those of the sensors in a simulated flight,
 //! calibrated. As in flight, samples pass the scene's prefilter, except for estimators that are low-passes themselves.
-//! As in [`sim_host::estimate`], `flight` gets a gyroscope zeroed at rest, as before arming; the others get it as it
-//! is.
+//! As in [`sim_host::estimate`], the estimator `flight` gets a gyroscope zeroed at rest, as before arming; the others
+//! get it as it is.
 
 use std::hint::black_box;
 use std::path::Path;
@@ -123,7 +123,7 @@ impl Filter {
             Self::Ours(estimator) => estimator.update(s.gyro, s.accel, s.mag, s.dt_s),
             Self::Theirs { filter, started } => {
                 if !*started {
-                    // They start at the attitude that the first sample shows, as Kestrel's filters do.
+                    // The filters start at the attitude that the first sample shows, as Kestrel's do.
                     *started = true;
                     if let Ok(mut first) = Estimator::new(&EstimatorParams::FLIGHT) {
                         first.update(s.gyro, s.accel, s.mag, 0.0);

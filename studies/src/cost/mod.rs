@@ -267,9 +267,9 @@ mod tests {
         let mut all = vec![
             setting("a", 1.0, 1.0),
             setting("a", 0.5, 2.0),
-            // More error and more cost than the first.
+            // This setting has more error and more cost than the first.
             setting("a", 1.5, 1.5),
-            // The error of the second, at more cost.
+            // This setting has the error of the second, at more cost.
             setting("a", 0.5, 3.0),
             setting("a", 0.1, 9.0),
             // Another problem.

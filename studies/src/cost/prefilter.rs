@@ -21,7 +21,8 @@ use sim_host::dynamics::{GRAVITY, VehicleParams};
 
 /// Sample rate of the sensor, Hz.
 const RATE_HZ: f64 = 1000.0;
-/// Length of the impulse response, samples: after 2 s that of the slowest filter (10 Hz, 4th order) is below f32.
+/// Length of the impulse response, samples. After 2 s the response of the slowest filter (10 Hz, 4th order) is below
+/// the resolution of f32.
 const LENGTH: usize = 2000;
 /// The motors' lag in the flying scenes, s.
 const LAG_S: f64 = 0.05;

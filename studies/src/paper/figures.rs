@@ -61,7 +61,7 @@ fn bias() -> Result<Exhibit, InputError> {
         let vehicle = at_rest(&scene);
         let at = |time_s: f64| Snapshot { time_s, ..vehicle.snapshot() };
         let h = 1.0 / rate_hz;
-        // In the vertical plane through north; trapezoidal in each step.
+        // The integration is in the vertical plane through north, and trapezoidal in each step.
         let north = |tilt: f64, f: Vec3<f64>| libm::cos(tilt) * f.x + libm::sin(tilt) * f.z;
         let (mut tilt, mut velocity, mut position) = (0.0, 0.0, 0.0);
         let mut before = north(tilt, accel.measure(GRAVITY_UP, &at(0.0)));

@@ -58,8 +58,8 @@ fn recording_at_rest(directory: &Path) -> Result<(String, f64, [Vec<f64>; 6]), I
     Err(InputError::new(format!("no recording in it begins with {REST_S} s of rest")).file(&place))
 }
 
-/// Returns the segment of [`REST_S`] in which the gyroscope moves least: people touch the table, or start to move
-/// early.
+/// Returns the segment of length [`REST_S`] in which the gyroscope moves least. In other segments someone touches the
+/// table, or begins the motion early.
 fn quietest(rows: &[LogRow], interval_s: f64) -> &[LogRow] {
     let (length, stride) = ((REST_S / interval_s) as usize, (1.0 / interval_s) as usize);
     let unrest = |from: usize| {

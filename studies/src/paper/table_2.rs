@@ -1,5 +1,5 @@
-//! Table 2: its random walks are put into a simulated sensor, simulated for an hour, and read back, for both readings
-//! of their unit.
+//! Table 2: a sensor with the table's random walks is simulated for an hour, and its Allan deviation gives them back.
+//! This is done for both readings of their unit.
 
 use super::bench::{self, GRAVITY_UP};
 use super::{Exhibit, tabulated};
@@ -21,7 +21,7 @@ pub fn table(progress: &dyn Fn(u64)) -> Result<Exhibit, InputError> {
     let mut rows = Vec::new();
     let mut worst = 0.0_f64;
     let n = Coefficient::WhiteNoise as usize;
-    // deg/h/√Hz in place of deg/√h: smaller by a factor of 60.
+    // The value in deg/h/√Hz is smaller than that in deg/√h by a factor of 60.
     for (reading, per) in [("deg/√h", 1.0), ("deg/h/√Hz", 60.0)] {
         let [x, y, z] = GYRO.map(|n| n / per);
         let effects = format!("[effects.gyro.white_noise]\nn_deg_per_sqrt_h = [{x:?}, {y:?}, {z:?}]\n");

@@ -11,7 +11,7 @@ use std::ops::Not as _;
 pub enum Flow {
     Next,
     Jump(u32),
-    /// To the target or to the next instruction.
+    /// The program continues at the target or at the next instruction.
     Branch(u32),
     Call(u32),
     /// `blx` of a register.

@@ -147,7 +147,7 @@ impl StillVehicle {
         if self.all_zeros {
             return ImuSample::default();
         }
-        // Noise of one count with a period of seven milliseconds, in which no axis stands still.
+        // The noise is one count with a period of seven milliseconds, in which no axis stands still.
         let noise = |axis: u64| ((self.ms + axis) % 7 % 3) as i16 - 1;
         let g = 2_048.0;
         let (sin, cos) = (libm::sin(self.tilt_deg.to_radians()), libm::cos(self.tilt_deg.to_radians()));

@@ -49,12 +49,13 @@ fn check_recovers(name: &str, params: &EstimatorParams, mut body: Body) {
 fn pitch_through_the_vertical_keeps_or_regains_accuracy() {
     let pitch = |deg_s: f64| vec3(0.0, deg_s * DEGREE, 0.0);
     for (name, params) in EstimatorParams::PRESETS {
-        // A full turn in pitch, through both verticals.
+        // The vehicle makes a full turn in pitch, through both verticals.
         for deg_s in [10.0, 90.0, 1_000.0] {
             let body = fly(name, &params, &[(pitch(deg_s), 360.0 / deg_s)]);
             check_recovers(name, &params, body);
         }
-        // Pitch up, ten seconds at the vertical, a turn about the long axis there, and down again.
+        // The vehicle pitches up, stays at the vertical for ten seconds, turns about the long axis there, and
+        // pitches down again.
         let parked = [
             (pitch(45.0), 2.0),
             (Vec3::ZERO, 10.0),

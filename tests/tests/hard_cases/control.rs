@@ -68,7 +68,7 @@ fn check_optimum(demand: Wrench) -> Result<(), TestCaseError> {
     let mixer = Mixer::new(&Airframe::OS4).unwrap();
     let (squares, _) = mixer.mix(&demand);
     let (best, shares) = optimum(&demand);
-    // f32 loses some ε of numbers as large as the demand's.
+    // In f32 the result loses some ε of numbers as large as the demand's.
     let size = in_squares(&demand).into_iter().fold(1e5, |size: f64, part| size.max(part.abs()));
     for (got, best) in squares.into_iter().zip(best) {
         let off = (f64::from(got) - best).abs();

@@ -43,8 +43,9 @@ fn max_difference(cutoff_hz: f32, rate_hz: f32, samples: impl Iterator<Item = f3
         .fold(0.0, f64::max)
 }
 
-/// Returns the error that rounding may leave, as a share of the largest input: the rounded coefficients have a gain
-/// error of 9e-8 over 1 + a₁ + a₂ = (2π f/f_s)², and the 4 ε of rounding in a step pass with the same gain.
+/// Returns the error that rounding may leave, as a share of the largest input. The gain error of the rounded
+/// coefficients is 9e-8 divided by 1 + a₁ + a₂ = (2π f/f_s)². The rounding errors of a step, 4 ε, are divided by the
+/// same number.
 fn rounding_share(cutoff_hz: f32, rate_hz: f32) -> f64 {
     (9e-8 + 4.0 * f64::from(f32::EPSILON)) / (2.0 * PI * f64::from(cutoff_hz) / f64::from(rate_hz)).powi(2)
         + 1e-6
@@ -53,7 +54,7 @@ fn rounding_share(cutoff_hz: f32, rate_hz: f32) -> f64 {
 #[test]
 fn prefilter_of_30_hz_at_8_and_32_khz_matches_f64() {
     for rate_hz in [8_000.0, 32_000.0] {
-        // A step of full scale, followed for a second.
+        // The input is a step of full scale, and the output is followed for a second.
         let samples = (0..rate_hz as u32).map(|k| if k < 10 { -2_000.0 } else { 2_000.0 });
         let max_difference = max_difference(30.0, rate_hz, samples);
         assert!(max_difference < 4_000.0 * rounding_share(30.0, rate_hz), "{rate_hz} Hz: {max_difference}");
@@ -78,7 +79,8 @@ fn cutoff_of_0_01_hz_is_refused_and_the_lowest_keeps_gain() {
 
 #[test]
 fn cutoff_near_nyquist_is_refused_and_the_highest_filters() {
-    // Its double pole nearly cancels its double zero at half the rate; the rest of a step alternates for a long time.
+    // The filter's double pole nearly cancels its double zero at half the sample rate. What remains of the response to
+    // a step alternates for a long time.
     let just_below = f32::from_bits(500.0_f32.to_bits() - 1);
     for cutoff_hz in [just_below, 499.999, 499.9, 500.0, f32::NAN] {
         let error = Biquad::butterworth(cutoff_hz, 1_000.0).unwrap_err();
@@ -87,7 +89,7 @@ fn cutoff_near_nyquist_is_refused_and_the_highest_filters() {
     for cutoff_hz in [490.0, 499.0, 499.4] {
         let samples = (0..100_000_u32).map(|k| if k.is_multiple_of(7) { 2_000.0 } else { -2_000.0 });
         let max_difference = max_difference(cutoff_hz, 1_000.0, samples);
-        // The same bound as for low cutoffs, measured from half the rate.
+        // The bound is the same as for low cutoffs, measured from half the rate.
         assert!(
             max_difference < 4_000.0 * rounding_share(500.0 - cutoff_hz, 1_000.0),
             "{cutoff_hz} Hz: {max_difference}"
@@ -97,7 +99,7 @@ fn cutoff_near_nyquist_is_refused_and_the_highest_filters() {
 
 #[test]
 fn prefilter_keeps_a_constant_for_three_hours() {
-    // Three hours at 1 kHz. The loss of a step stays the same once the states repeat.
+    // The test runs for three hours at 1 kHz. The loss of a step stays the same once the states repeat.
     let design = Biquad::butterworth(30.0, 1_000.0).unwrap();
     for x in [9.80665_f32, -2_000.0, 1e-3, 0.0] {
         let mut section = Section::settled(&design, x);

@@ -117,7 +117,7 @@ fn vehicles_at_parameter_limits_are_refused_or_stand_still() {
                         mass * 1e3,
                         leg * 1e3,
                         arm * 1e3,
-                        // The thrust coefficient of OS4, scaled with the mass.
+                        // The thrust coefficient is that of OS4, scaled with the mass.
                         mass / 0.65 * 3.13e-5,
                     );
                     match hover_with(&table) {
@@ -154,8 +154,8 @@ fn vehicles_at_parameter_limits_are_refused_or_stand_still() {
 fn zero_and_extreme_drag_fly_and_stiff_drag_is_refused() {
     let none = fly("[effects.vehicle.linear_drag]\na_kg_per_s = [0.0, 0.0, 0.0]\n");
     assert_eq!((none.crash, none.final_state), (None, ArmState::Disarmed));
-    // 500 kg/s on 0.65 kg give a time constant of 1.3 ms; RK4 is stable up to λh = 2.8, in a step of 1 ms. It hardly
-    // moves.
+    // A drag of 500 kg/s on 0.65 kg has a time constant of 1.3 ms. With the step h = 1 ms the rate λ gives λh = 0.77,
+    // and RK4 is stable up to λh = 2.8. The vehicle hardly moves.
     let extreme = fly("[effects.vehicle.linear_drag]\na_kg_per_s = [500.0, 500.0, 500.0]\n");
     assert!(extreme.crash.is_none(), "{extreme:?}");
     assert!(extreme.attitude_rmse_deg < 1.0, "{extreme:?}");

@@ -33,11 +33,11 @@ fn four_g_for_a_second_tilt_by_at_most_the_closed_form() {
             body.estimator.update(Vec3::ZERO, pushed, Some(single(FIELD_UT)), 1e-3);
         }
         let bound = match name {
-            // Eq 18: 1 − e^(−t/τ) of the angle.
+            // By eq 18 the error is the share 1 − e^(−t/τ) of the angle.
             "flight" => force_angle_deg * (1.0 - (-0.1_f64).exp()) * 1.02,
-            // 0.645 Δv/(g τ) (docs/estimators.md), 0.52 rad.
+            // The error is 0.645 Δv/(g τ) = 0.52 rad, by docs/estimators.md.
             "robust" => (0.645 * 4.0 / 5.0_f64).to_degrees(),
-            // More than two time constants: the filter follows the force completely, and its heading with it.
+            // These filters follow the force completely after more than two time constants, and so does their heading.
             _ => 180.0,
         };
         assert!(body.error_deg() < bound, "{name}: {}°, {bound}°", body.error_deg());
@@ -62,7 +62,8 @@ fn four_g_for_half_a_minute_tilt_at_most_to_the_force() {
             let max_deg = force_angle_deg * if name == "robust" { 1.0 + overshoot } else { 1.0 + 1e-3 };
             assert!(tilt < max_deg, "{name}: {tilt}°");
         }
-        // A manoeuvre must not teach a bias: `robust` learns only from what looks like the last degrees of an error.
+        // A manoeuvre must not change the estimated bias much. The estimator `robust` changes it only if the error
+        // looks like the last degrees of a correction.
         let bias = body.estimator.gyro_bias().norm().to_degrees();
         assert!(bias < 0.3, "{name}: a bias of {bias} °/s");
         // The estimate recovers when the acceleration ends.
@@ -126,7 +127,7 @@ fn denormal_and_zero_samples_keep_the_estimate() {
     }
 }
 
-/// Flies `steps` with these tables added, with five seeds.
+/// Flies the scene `steps` with these tables added, with five seeds.
 fn flights(tables: &str) -> Vec<Outcome> {
     let scene = Scene::parse("hard.toml", &format!("include = \"steps\"\n{tables}")).unwrap();
     (0..5).map(|seed| Flight::new(&scene, seed).run(&mut ())).collect()
@@ -169,7 +170,7 @@ fn gap_of_a_second_keeps_an_accurate_estimate() {
         for _ in 0..5_000 {
             body.turn(vec3(0.0, 0.0, 0.5), 1e-3);
         }
-        // The gap is a single step of 1 s, which the filters still integrate as a turn.
+        // The pause is a single step of 1 s, which the filters still integrate as a turn.
         body.turn(vec3(0.1, 0.2, 0.5), 1.0);
         assert!(body.error_deg().is_finite());
         assert!(!is_accurate(name) || body.error_deg() < 0.1, "{name}: {}°", body.error_deg());

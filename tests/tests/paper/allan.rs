@@ -107,7 +107,8 @@ fn allan_of_eq_15_by_hand() {
         allan.add(y);
     }
     assert!((allan.deviation() - libm::sqrt(49.0 / 6.0)).abs() < 1e-12);
-    // Overlapping, of the first six: the means are 1, 2.5, 4, 3, 2, the differences 4 − 1, 3 − 2.5, 2 − 4.
+    // The overlapping variance of the first six samples: the means are 1, 2.5, 4, 3, 2, and their differences are
+    // 4 − 1, 3 − 2.5 and 2 − 4.
     let mut overlapping = OverlappingAllan::new(2);
     for y in [0.0, 2.0, 3.0, 5.0, 1.0, 3.0] {
         overlapping.add(y);
@@ -122,7 +123,7 @@ fn gyroscope_of_table_2_is_0_03228_deg_per_s_per_root_hz() {
     assert!((n[0] - 0.03228).abs() < 1e-6);
     let (scene, seed) = on_the_bench(60.0);
     let mut gyro = scene.gyro(seed, 1000.0);
-    // The random draws of the sensor, from the same streams.
+    // These are the random draws of the sensor, from the same streams.
     let mut streams = NormalStreams::new(seed, "gyro.white_noise");
     for _ in 0..1000 {
         let readings = <[f64; 3]>::from(gyro.measure(Vec3::ZERO, &STILL));
@@ -158,7 +159,7 @@ impl Observer for Bench {
     }
 }
 
-/// Eqs 15 and 16 together, through the converter: `static` at 1 kHz has table 2's Allan deviation at 1 s, and
+/// Eqs 15 and 16 together, through the converter: the scene `static` at 1 kHz has table 2's Allan deviation at 1 s, and
 /// the standard deviation that follows from it.
 #[test]
 fn static_reads_back_table_2() {

@@ -1,8 +1,8 @@
 //! Eq 18's gains for noise and bias: random numbers of the simulator through the estimators of the flight code, without
 //! the prefilter.
 //!
-//! With o\[k\] = α (o\[k−1\] + ω Δt) + (1 − α) b\[k\] and independent errors in each sample, o is a first-order
-//! autoregression, whose closed forms are:
+//! With o\[k\] = α (o\[k−1\] + ω Δt) + (1 − α) b\[k\] and independent errors in each sample, the output o is a
+//! first-order autoregression, whose closed forms are:
 //!
 //! | error | of o | at α = 0.97 |
 //! |---|---|---|
@@ -26,10 +26,11 @@ struct Case {
     alpha: f64,
 }
 
-/// τ of `paper`: 32.33 steps at 100 Hz.
+/// Time constant τ of the estimator `paper`: 32.33 steps at 100 Hz.
 const TAU_S: f64 = 0.97 / 0.03 * 0.01;
 
-/// At 100 Hz `paper` and `paper-literal` are the same filter. At 1 kHz the first keeps its τ, the second its α.
+/// At 100 Hz the estimators `paper` and `paper-literal` are the same filter. At 1 kHz the first keeps its τ, the second
+/// its α.
 const CASES: [Case; 4] = [
     Case { params: EstimatorParams::PAPER, rate_hz: 100.0, alpha: 0.97 },
     Case { params: EstimatorParams::PAPER_LITERAL, rate_hz: 100.0, alpha: 0.97 },
@@ -128,7 +129,7 @@ fn rate_noise_gain_is_3_99_steps_and_bias_gain_is_32_33() {
             println!("case {n}: {:.4} {:.3}", spread.deviation() / sigma / dt_s, spread.mean() / bias / dt_s);
             spread.assert_deviation(deviation, case.samples_per_independent_square());
             let error = deviation * libm::sqrt((1.0 + a) / (1.0 - a) / spread.count());
-            // Through the Euler rates the axes' offsets couple in proportion to their size, at most 3.3e-4 rad.
+            // The Euler rates couple the axes' offsets in proportion to their size, by at most 3.3e-4 rad.
             assert!(
                 (spread.mean() - offset).abs() < 5.0 * error + 1e-3 * offset,
                 "{} {offset}",

@@ -1,4 +1,4 @@
-//! Eq 18 in flight: why `paper` cannot fly `steps`.
+//! Eq 18 in flight: why the estimator `paper` cannot fly the scene `steps`.
 //!
 //! In the air an accelerometer measures thrust and drag, not gravity. Thrust lies along the body's z axis at
 //! any tilt, so without drag the accelerometer reads level at any tilt, and eq 18 pulls the estimate to level
@@ -15,9 +15,9 @@ use sim_host::scene::{BUILT_IN, Scene};
 use crate::spread::Spread;
 use crate::still::on_os4;
 
-/// τ of `paper`, s.
+/// Time constant τ of the estimator `paper`, s.
 const TAU_S: f64 = 0.97 / 0.03 * 0.01;
-/// A of eqs 11-13 in `steps`, kg/s.
+/// Drag coefficient A of eqs 11-13 in the scene `steps`, kg/s.
 const DRAG_KG_PER_S: f64 = 0.25;
 
 fn in_the_air(effects: Vec<(&'static str, VehicleEffect)>, state: State, speed: f64) -> Vehicle {
@@ -77,7 +77,7 @@ fn drag_shows_tilt_with_the_time_constant_of_speed() {
         shown_deg.push(shown.to_degrees());
         vehicle.advance();
     }
-    // After the first half of a doublet, and in the end.
+    // Tilt shown after the first half of a doublet, and at the end.
     assert!((shown_deg[700] - 6.2).abs() < 0.05 && (shown_deg[20_000] - 30.0).abs() < 0.05);
 }
 
@@ -92,7 +92,7 @@ fn holding_30_degrees_needs_a_turn_of_93_deg_per_s() {
     {
         let mut estimator = Estimator::new(&params).unwrap();
         let level = vec3(0.0, 0.0, -STANDARD_GRAVITY);
-        // Until the age of `flight` has reached τ, it is used in place of τ.
+        // The estimator `flight` uses its age in place of τ until the age has reached τ.
         for _ in 0..20_000 {
             estimator.update(Vec3::ZERO, level, None, dt_s);
         }
@@ -228,7 +228,7 @@ fn a_30_degree_step_of_2_s_on_paper_passes_90_degrees() {
     assert!(rate < expected_rate && passes_at_s < 2.0);
 }
 
-/// `paper` and `flight`, without a prefilter, in parallel to a flight controlled by another estimator.
+/// The estimators `paper` and `flight`, without a prefilter, in parallel to a flight that another estimator controls.
 struct ParallelEstimators {
     rate_per_count: f32,
     force_per_count: f32,
@@ -270,11 +270,12 @@ impl Observer for ParallelEstimators {
     }
 }
 
-/// Eq 18's error in the doublets of `steps`, whichever estimator controls the flight: e' = (φ − φ_shown − e)/τ. It does
-/// not depend on the gyroscope.
+/// Compares eq 18's error e in the doublets of the scene `steps` with its differential equation
+/// e' = (φ − φ_shown − e)/τ. φ is the true tilt, and φ_shown is the tilt that the accelerometer shows (φ_f in
+/// docs/paper.md). The equation holds whichever estimator controls the flight, and does not depend on the gyroscope.
 ///
-/// For a sudden tilt of 30°, φ − φ_shown = 30° e^(−t/T) with T = m/A, and after 0.7 s
-/// e = 30° T/(T − τ) (e^(−t/T) − e^(−t/τ)) = 22.2° with `paper` and 1.8° with `flight`.
+/// For a sudden tilt of 30°, φ − φ_shown = 30° e^(−t/T) with T = m/A = 2.6 s. So after t = 0.7 s
+/// e = 30° T/(T − τ) (e^(−t/T) − e^(−t/τ)), which is 22.2° with the estimator `paper` and 1.8° with `flight`.
 #[test]
 fn doublets_of_steps_mislead_paper_by_22_deg_flight_by_2() {
     let scene = altered("steps", &[]);

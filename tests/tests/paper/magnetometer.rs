@@ -19,7 +19,7 @@ const HARD_IRON_UT: f64 = 200.0;
 /// Noise of the tilt, times the tangent of the field's inclination of 58°, adds 0.02°.
 const FIVE_DEVIATIONS_DEG: f64 = 0.45;
 
-/// Returns `static` with its estimator `paper`, without or with the calibration of the hard iron.
+/// Returns the scene `static` with its estimator `paper`, without or with the calibration of the hard iron.
 fn bench(calibrated: bool) -> Scene {
     let text = BUILT_IN.iter().find(|scene| scene.name == "static").expect("a built-in scene").text;
     let calibration = "[flight]\ncalibration.mag_ut.bias = [0.0, 200.0, 0.0]";

@@ -42,7 +42,7 @@ fn noise_gain_tends_to_8_16() {
     let limit = libm::sqrt(2.0 * CUTOFF_HZ * std::f64::consts::PI / (2.0 * std::f64::consts::SQRT_2));
     assert!((limit - 8.1635).abs() < 1e-4);
     for (rate_hz, expected) in [(100.0_f32, 7.6966), (1000.0, 8.1436), (8000.0, 8.1632)] {
-        // The energy of the impulse response of the flight code's filter, in f32.
+        // This is the energy of the impulse response of the flight code's filter, in f32.
         let mut filter = filter(rate_hz);
         filter.step(Vec3::ZERO);
         let mut energy = 0.0;
@@ -103,7 +103,7 @@ fn chain_at_rest_has_the_filtered_noise_of_table_2() {
     scene.duration_s = 600.0;
     let mut rates = Rates([Spread::default(); 3]);
     Flight::new(&scene, scene.seed).run(&mut rates);
-    // 0.263 °/s about x, 0.168 °/s about y and z.
+    // The standard deviation is 0.263 °/s about x and 0.168 °/s about y and z.
     for (spread, deg_per_sqrt_h) in rates.0.iter().zip([1.9368, 1.239, 1.239]) {
         spread.assert_deviation(8.1436 * deg_per_sqrt_h / 60.0, samples_per_independent_square());
     }

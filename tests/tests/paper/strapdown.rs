@@ -50,7 +50,7 @@ fn position_after_a_minute(
     force_bias: Vec3<f64>,
 ) -> Vec3<f64> {
     let mut strapdown = Strapdown::level_at_rest();
-    // The reading at time 0, for the first trapezium.
+    // This is the reading at time 0, for the first trapezium.
     strapdown.acceleration = force_bias;
     for _ in 0..(TIME_S * RATE_HZ) as u32 {
         let rate = gyro.measure(rate_bias, &STILL);

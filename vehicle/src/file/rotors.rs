@@ -197,7 +197,7 @@ impl Rotors {
         let Some(diameter_mm) = self.propeller_mm else {
             return Err(InputError::new("is missing: propeller_g needs it").field("rotors.propeller_mm"));
         };
-        // The propeller as a thin rod: m d²/12.
+        // The propeller is taken as a thin rod, whose moment of inertia is m d²/12.
         let diameter_m = diameter_mm / 1e3;
         let inertia = grams / 1e3 * diameter_m * diameter_m / 12.0;
         notes.add(

@@ -40,7 +40,7 @@ impl InstructionCounter {
     pub fn start() -> Self {
         let Peripherals { TIM2: timer, .. } = Peripherals::take().expect("taken once");
         timer.psc().write(|w| w.psc().set(0));
-        // The period stays 0: with that QEMU's timer never ends a period.
+        // The period stays 0, because with a period of 0 QEMU's timer never ends a period.
         timer.cr1().write(|w| w.cen().set_bit());
         let mut counter = Self { timer, overhead: 0 };
         counter.calibrate();

@@ -147,8 +147,9 @@ pub fn config() -> Config {
     }
 }
 
-/// The interrupt that serves the link: that of the floating-point unit, which is never enabled there. It has the
-/// highest number of all vectors of its priority (that of `magnetometer`), so it runs last.
+/// The interrupt that serves the link. Its vector is that of the floating-point unit, whose own interrupt is never
+/// enabled. The vector has the highest number of all vectors of its priority (the priority of `magnetometer`), so it
+/// runs last.
 const SLOT_INTERRUPT: Interrupt = Interrupt::FPU;
 const SLOT_PRIORITY: u8 = 1;
 
@@ -275,7 +276,7 @@ impl Monitor {
     }
 }
 
-/// Period of the simulated watchdog, µs: that of the real one.
+/// Period of the simulated watchdog, µs. It is the period of the real one.
 const WATCHDOG_US: u32 = 1_000_000;
 
 /// Time of the watchdog's start or last feed, µs.

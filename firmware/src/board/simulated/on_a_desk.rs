@@ -13,7 +13,8 @@ pub const NAME: &str = "SpeedyBee F405 V4 on a desk";
 /// Clock of TIM5, MHz: twice APB1's clock.
 pub const TIM5_MHZ: u16 = 84;
 
-/// Clock of the serial port's baud-rate divider, Hz: APB2's. 84 MHz over 91 are 923 kbaud, 0.2 % too fast.
+/// Clock of the serial port's baud-rate divider, Hz. It is the clock of APB2. 84 MHz divided by 91 are 923 kbaud, which
+/// is 0.2 % too fast.
 pub const USART6_HZ: u32 = 84_000_000;
 
 /// Starts the clocks that are used, and connects the port.

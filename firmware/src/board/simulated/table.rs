@@ -45,8 +45,8 @@ pub fn config() -> Config {
 
 /// Starts the ticks, and prepares the first slot.
 pub fn begin(nvic: &mut NVIC) -> bool {
-    // 1 GHz divided to microseconds. Writing the period starts the alarm; until then the count must be small.
-    // QEMU's first period is too long by the time from power-up to this write, in whole microseconds. The timer
+    // The prescaler divides 1 GHz to microseconds. Writing the period starts the alarm; until then the count must be
+    // small. QEMU's first period is too long by the time from power-up to this write, in whole microseconds. The timer
     // without a prescaler has counted that time in nanoseconds. It is subtracted here, early in a microsecond, so that
     // no further microsecond ends before the write.
     let since_power_up_ns = loop {

@@ -3,7 +3,7 @@
 //! No other part of the program runs then. [`Lines::finish_and_restart`] and [`Lines::send`] put the stop on the pads,
 //! in any state of timers and DMA after the fault:
 //!
-//! 1. A pulse or frame that is being sent is finished: a cut pulse would be another throttle value.
+//! 1. A pulse or frame that is being sent is finished, because a cut pulse would be another throttle value.
 //! 2. Timers and DMA are reset. The pads are low, by their pull-downs.
 //! 3. The line pauses, so that the ESC can separate the stop from what came before, even if that was cut.
 //! 4. Timers and DMA are set up as at the start, and the stop is sent.
@@ -44,7 +44,8 @@ const fn waits(protocol: Protocol) -> Waits {
         Protocol::Pwm { .. } => Waits { frame: 0, pulse: 2_080, pause: 400 },
         // The pads fall when the timers stop. The stop pulse begins 126 µs after the timers.
         Protocol::OneShot125 => Waits { frame: 260, pulse: 260, pause: 0 },
-        // The pads are low for a quarter of each bit. The pause is longer than six bits: no frame contains such a gap.
+        // The pads are low for a quarter of each bit. The pause is longer than six bits, so the pads are never low for
+        // as long within a frame.
         Protocol::DShot300 | Protocol::DShot600 => Waits { frame: 70, pulse: 70, pause: 20 },
     }
 }

@@ -115,7 +115,7 @@ impl OnAMatrix {
             let (share, age) = self.share(self.tilt_age, dt)?;
             self.tilt_age = Some(age);
             if sin > 0.0 {
-                // In world axes: the measured direction of down moves towards the vertical.
+                // In world axes, the measured direction of down is moved towards the vertical.
                 let correction = measured.cross(Vec3::Z) * (share * angle / sin);
                 self.attitude = rotation(correction) * self.attitude;
             }
@@ -176,7 +176,7 @@ impl InAngles {
         }
         self.mag_dt += dt;
         if let Some(mag) = now.mag {
-            // Rotated to level: by roll about x, then by pitch about y.
+            // The field is rotated to level, by roll about x, then by pitch about y.
             let [roll, pitch, yaw] = self.angles;
             let about_x = rotation(vec3(roll, 0.0, 0.0));
             let about_y = rotation(vec3(0.0, pitch, 0.0));
@@ -442,7 +442,8 @@ fn one_second_of_rest_gives_a_zero() {
     }
 }
 
-/// After ten seconds the mean decays: of a step of the bias, (1 − Δt/10 s)ⁿ remains after n samples.
+/// After ten seconds old readings lose their weight in the mean. If the bias steps, the share (1 − Δt/10 s)ⁿ of the
+/// step remains as an error after n samples.
 #[test]
 fn long_rest_follows_a_drift() {
     let mut zero = GyroZero::default();

@@ -45,7 +45,7 @@ fn two_winds_add_up() {
 
 #[test]
 fn rotor_drag_brakes_level_hover_exponentially() {
-    // 4 k Ω/m = 4 · 1e-4 · 225.7/0.65 = 0.139/s, in the horizontal axes only.
+    // The decay rate is 4 k Ω/m = 4 · 1e-4 · 225.7/0.65 = 0.139/s, in the horizontal axes only.
     let mut v = in_the_air(vec![built(&RotorDrag { k_kg_per_rad: 1e-4 }, STEP_S)]);
     let speed = hover_rad_s();
     v.set_state(State { velocity: vec3(5.0, -2.0, 1.0), ..*v.state() }, [speed; 4]);
@@ -63,7 +63,7 @@ fn yaw_rate_changes_with_rotor_acceleration() {
         let mut v = in_the_air(effects);
         let speed = hover_rad_s();
         v.set_state(*v.state(), [speed; 4]);
-        // A new command every 10 ms; the changes add up to +20 and −20 rad/s.
+        // There is a new command every 10 ms. The changes add up to +20 and −20 rad/s.
         for k in 0..10 {
             let change = f64::from(k + 1) * 2.0;
             v.command([speed + change, speed - change, speed + change, speed - change]);
@@ -98,7 +98,7 @@ fn ground_effect_lowers_the_hover_speed() {
 fn weight_forward_pitches_the_nose_down() {
     let mut v = in_the_air(vec![built(&CgOffset { offset_m: [0.01, 0.0, 0.0] }, STEP_S)]);
     v.set_state(*v.state(), [hover_rad_s(); 4]);
-    // m g c/I: the thrust equals the weight and acts a centimetre behind.
+    // The acceleration is m g c/I, because the thrust equals the weight and acts a centimetre behind.
     let exact = -0.65 * GRAVITY * 0.01 / 7.5e-3;
     assert!((v.angular_acceleration() - vec3(0.0, exact, 0.0)).norm() < 1e-9);
 }
@@ -129,7 +129,7 @@ fn battery_voltage_falls_under_load() {
     let battery =
         BatterySag { cells: 3, capacity_mah: 2000.0, resistance_mohm: 30.0, efficiency: 0.7, charge: 0.5 };
     let mut v = in_the_air(vec![built(&battery, STEP_S)]);
-    // 3 (3.685 + 0.1078 − 0.02945 + 0.04001) V at half the charge; e^(−17.5) is negligible.
+    // At half the charge the voltage is 3 (3.685 + 0.1078 − 0.02945 + 0.04001) V; e^(−17.5) is negligible.
     assert!((v.battery_v().unwrap() - 11.4101).abs() < 1e-3, "{:?}", v.battery_v());
     for _ in 0..2000 {
         v.command([250.0; 4]);

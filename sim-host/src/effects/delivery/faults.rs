@@ -110,7 +110,7 @@ mod tests {
     use super::*;
     use flight_core::sample::ImuSample;
 
-    /// The sample of step k: every count different, and different at every step.
+    /// Returns the sample of step k. All its counts are different, and they differ at every step.
     fn sample(k: i16) -> ImuSample {
         ImuSample { gyro: [k, 100 + k, 200 + k], accel: [-k, -100 - k, -200 - k] }
     }
@@ -134,7 +134,7 @@ mod tests {
 
     #[test]
     fn steps_without_a_sample_count() {
-        // A sample at every second step, from 0 on; dead from step 5 to 9.
+        // There is a sample at every second step, from 0 on. The sensor is dead from step 5 to step 9.
         let mut dead = Dead(window());
         let came = (0..20).filter(|k| dead.step((k % 2 == 0).then_some(*k)).is_some());
         assert_eq!(came.collect::<Vec<_>>(), [0, 2, 4, 10, 12, 14, 16, 18]);

@@ -66,7 +66,7 @@ mod tests {
         for (latency_s, steps) in [(0.0, 0), (0.003, 3), (0.025, 25)] {
             let mut effect = latency(latency_s);
             for k in 0..200_u32 {
-                // A sample at every fourth step, like a slower sensor.
+                // There is a sample at every fourth step, as from a slower sensor.
                 let sent = (k % 4 == 0).then_some(k);
                 let wanted = k.checked_sub(steps).filter(|sent| sent % 4 == 0);
                 assert_eq!(effect.step(sent), wanted, "step {k} at {latency_s} s");

@@ -1,5 +1,5 @@
-//! Random loss: each sample is lost with probability p, independently of the others. The lengths of the gaps are
-//! geometrically distributed: n or more samples in a row are lost with probability p^n.
+//! Random loss: each sample is lost with probability p, independently of the others. The number of samples
+//! that are lost in a row is geometrically distributed: n or more are lost with probability p^n.
 
 use std::marker::PhantomData;
 
@@ -63,9 +63,10 @@ mod tests {
         let mut effect = loss("imu.dropped_samples", p, 1);
         let lost: Vec<bool> = (0..n).map(|k| effect.step(Some(k)).is_none()).collect();
         let share = lost.iter().filter(|lost| **lost).count() as f64 / f64::from(n);
-        // Five standard errors of a share: 5 √(p (1 − p)/n) = 0.0015.
+        // The bound is five standard errors of a share, 5 √(p (1 − p)/n) = 0.0015.
         assert!((share - p).abs() < 5.0 * (p * (1.0 - p) / f64::from(n)).sqrt(), "{share}");
-        // Two in a row: p². Neighbouring pairs overlap, which adds 2 p³ (1 − p) to the variance.
+        // Two samples in a row are lost with the probability p². Neighbouring pairs overlap, which adds 2 p³ (1 −
+        // p) to the variance.
         let pairs = lost.windows(2).filter(|two| two[0] && two[1]).count() as f64 / f64::from(n);
         let variance = p * p * (1.0 - p * p) + 2.0 * p * p * p * (1.0 - p);
         assert!((pairs - p * p).abs() < 5.0 * (variance / f64::from(n)).sqrt(), "{pairs}");

@@ -44,7 +44,7 @@ pub type BoxedDelivery<T> = Box<dyn Delivery<T>>;
 pub enum MagEffect {
     /// On the reading, before the converter.
     Reading(BoxedSensorEffect),
-    /// On the samples.
+    /// An effect on the samples.
     Delivery(BoxedDelivery<MagSample>),
 }
 
@@ -62,9 +62,9 @@ impl From<BoxedDelivery<MagSample>> for MagEffect {
 
 /// An effect on the IMU samples, after it is built.
 pub enum ImuEffect {
-    /// On the time at which the sensors sample the truth.
+    /// An effect on the time at which the sensors sample the truth.
     Sampling(Jitter),
-    /// On the samples.
+    /// An effect on the samples.
     Delivery(BoxedDelivery<ImuSample>),
 }
 

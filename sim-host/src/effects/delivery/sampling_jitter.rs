@@ -141,7 +141,7 @@ mod tests {
 
     #[test]
     fn jitter_error_is_derivative_times_delay() {
-        // Rates and force that change linearly with time: the extrapolation is exact at any δ.
+        // Rates and force change linearly with time, so the extrapolation is exact at any δ.
         let (acceleration, jerk) = (vec3(100.0, -50.0, 20.0), vec3(-3.0, 7.0, 11.0));
         let truth = |t: f64| (acceleration * t, vec3(0.0, 0.0, -9.8) + jerk * t);
         let mut jitter = jitter(50.0, Distribution::Uniform);

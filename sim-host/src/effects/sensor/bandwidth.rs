@@ -95,7 +95,7 @@ mod tests {
         for (cutoff_hz, rate_hz) in [(100.0, 1000.0), (30.0, 1000.0), (20.0, 100.0)] {
             for ratio in [0.2, 1.0, 2.0] {
                 let frequency_hz = ratio * cutoff_hz;
-                // 1/√(1 + (Ω/Ω_c)⁴) at the frequencies that the bilinear transform maps to.
+                // The gain is 1/√(1 + (Ω/Ω_c)⁴) at the frequencies that the bilinear transform maps to.
                 let warped = |hz: f64| (std::f64::consts::PI * hz / rate_hz).tan();
                 let want = (1.0 + (warped(frequency_hz) / warped(cutoff_hz)).powi(4)).sqrt().recip();
                 let got = gain(cutoff_hz, frequency_hz, rate_hz);

@@ -41,7 +41,7 @@ use random::NormalStreams;
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct GyroBiasInstability {
-    /// B, deg/h: the plateau of the Allan deviation divided by 0.664.
+    /// Bias instability B, deg/h: the plateau of the Allan deviation divided by 0.664.
     pub b_deg_per_h: [f64; 3],
 }
 
@@ -49,7 +49,7 @@ pub struct GyroBiasInstability {
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct AccelBiasInstability {
-    /// B, m/s²: the plateau of the Allan deviation divided by 0.664.
+    /// Bias instability B, m/s²: the plateau of the Allan deviation divided by 0.664.
     pub b_m_s2: [f64; 3],
 }
 
@@ -142,7 +142,8 @@ impl SensorEffect for Flicker {
             && let Some(x) = self.slow.get_mut((zeros / 2) as usize)
         {
             let moved = *x * self.slow_decay + self.streams.draw() * self.slow_gain;
-            // Each update adds a rounding error of 10⁻¹⁶ B to the sum: 10⁻¹² B after 10⁸ updates, as a random walk.
+            // Each update adds a rounding error of 10⁻¹⁶ B to the sum. The errors are a random walk, which reaches
+            // 10⁻¹² B after 10⁸ updates.
             self.slow_sum += moved - *x;
             *x = moved;
         }
@@ -194,7 +195,8 @@ mod tests {
             }
             let deviation = f64::sqrt(sum / count);
             println!("{length} samples: {deviation:.4}");
-            // 1,200 lists of at least 11 pairs: 1 % at 300 samples, plus the ripple of the spectrum.
+            // There are 1,200 lists of at least 11 pairs, so the bound is 1 % at 300 samples, plus the ripple of
+            // the spectrum.
             assert!((deviation / 0.6643 - 1.0).abs() < 0.035, "{length} samples: {deviation}");
         }
     }

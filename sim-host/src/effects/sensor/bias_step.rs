@@ -66,7 +66,7 @@ mod tests {
         for k in 0..6000 {
             angle += effect.apply(Vec3::ZERO, &snapshot(&STATE, 0.01 * f64::from(k))) * 0.01;
         }
-        // The samples from 20 s on, each of which counts for 10 ms.
+        // These are the samples from 20 s on, each of which counts for 10 ms.
         assert!((angle - vec3(40.0, -80.0, 0.0) * DEG).norm() < 1e-9, "{angle:?}");
         assert_eq!(effect.apply(Vec3::X, &snapshot(&STATE, 19.99)), Vec3::X);
     }

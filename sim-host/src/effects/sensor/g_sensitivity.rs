@@ -17,7 +17,7 @@ use input::check;
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct GSensitivity {
-    /// G, deg/s/g, row by row: the rows are the gyroscope's x, y, z, the columns the axes of the force.
+    /// Matrix G, row by row, deg/s/g: the rows are the gyroscope's x, y, z, the columns the axes of the force.
     pub matrix_deg_s_per_g: [[f64; 3]; 3],
 }
 

@@ -52,14 +52,16 @@ mod tests {
         let mut effect = build(&LeverArm { r_m: [0.5, 0.0, 0.2] }, 100.0);
         let state = State { rates: vec3(0.0, 0.0, 3.0), ..STATE };
         let at = Snapshot { angular_acceleration: vec3(0.0, 0.0, 2.0), ..snapshot(&state, 0.0) };
-        // −ω² r inwards, α r along the motion; the offset along the axis of rotation has no effect.
+        // The acceleration is −ω² r inwards and α r along the motion. The offset along the axis of rotation has no
+        // effect.
         let reading = effect.apply(Vec3::ZERO, &at);
         assert!((reading - vec3(-9.0 * 0.5, 2.0 * 0.5, 0.0)).norm() < 1e-15, "{reading:?}");
     }
 
     #[test]
     fn lever_arm_is_second_derivative_of_sensor_position() {
-        // Second differences of the path of a point on a body that turns about y by φ(t) = 0.3 sin 5t.
+        // The expected acceleration is the second difference of the path of a point on a body that turns about y
+        // by φ(t) = 0.3 sin 5t.
         let r = vec3(0.1, 0.0, -0.04);
         let mut effect = build(&LeverArm { r_m: r.into() }, 100.0);
         let place = |t: f64| {

@@ -26,7 +26,7 @@ pub struct Misalignment {
     /// Rotation θ of the chip about the body's x, y and z, mrad.
     #[serde(default)]
     pub mounting_mrad: [f64; 3],
-    /// n_yx, n_zx, n_zy, mrad: the response of y to x, of z to x, and of z to y.
+    /// Responses n_yx of y to x, n_zx of z to x, and n_zy of z to y, mrad.
     #[serde(default)]
     pub non_orthogonality_mrad: [f64; 3],
 }

@@ -90,7 +90,8 @@ mod tests {
     #[test]
     fn quantization_error_is_uniform_over_a_step() {
         let mut effect = build(&GyroQuantization { lsb_deg_s: 1.0 }, 100.0);
-        // A slow sweep over a thousand steps, at a speed incommensurate with them: mean 0, variance LSB²/12.
+        // The input sweeps slowly over a thousand steps, at a speed incommensurate with them. The error has mean
+        // 0 and variance LSB²/12.
         let (mut sum, mut squares, count) = (0.0, 0.0, 200_000);
         at_rest(|at| {
             for k in 0..count {

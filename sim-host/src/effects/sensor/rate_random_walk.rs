@@ -96,7 +96,7 @@ mod tests {
             }
             for (sum, k) in <[f64; 3]>::from(squares).into_iter().zip(k) {
                 let got = libm::sqrt(sum / f64::from(runs) / time_s);
-                // Five standard errors of a deviation from 4,000 draws: 5/√8,000.
+                // The bound is five standard errors of a deviation from 4,000 draws, 5/√8,000.
                 assert!((got - k).abs() <= 0.056 * k, "{got} for {k}");
             }
         }

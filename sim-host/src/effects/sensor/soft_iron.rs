@@ -54,7 +54,7 @@ mod tests {
         at_rest(|at| {
             assert_eq!(effect.apply(Vec3::X, at), vec3(1.1, 0.04, -0.06));
             let read = effect.apply(vec3(25.0, 3.0, 41.0), at);
-            // By hand: 27.5 + 0.06 − 1.23; 1 + 2.7 + 2.05; −1.5 + 0.21 + 49.2.
+            // Computed by hand: x is 27.5 + 0.06 − 1.23, y is 1 + 2.7 + 2.05, z is −1.5 + 0.21 + 49.2.
             assert!((read - vec3(26.33, 5.75, 47.91)).norm() < 1e-12, "{read:?}");
         });
     }

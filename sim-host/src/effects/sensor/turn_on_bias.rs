@@ -76,7 +76,7 @@ mod tests {
             });
         }
         let deviations = <[f64; 3]>::from(squares).map(|sum| libm::sqrt(sum / f64::from(runs)) / DEG);
-        // Five standard errors of a deviation from 20,000 draws: 5/√40,000.
+        // The bound is five standard errors of a deviation from 20,000 draws, 5/√40,000.
         for (got, want) in deviations.into_iter().zip([1.0, 2.0, 0.0]) {
             assert!((got - want).abs() <= 0.025 * want, "{got} for {want}");
         }

@@ -31,13 +31,13 @@ fn fundamental_only() -> Vec<f64> {
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct GyroVibration {
-    /// a, deg/s: amplitude of one rotor's tone at the reference speed.
+    /// Amplitude a of one rotor's tone at the reference speed, deg/s.
     #[serde(default)]
     pub tone_deg_s: [f64; 3],
     /// r_h: amplitudes at 1, 2, 3 … times the rotor's speed, relative to a.
     #[serde(default = "fundamental_only")]
     pub harmonics: Vec<f64>,
-    /// n at the reference speed, deg/s/√Hz (two-sided, as N).
+    /// Density n of the broadband noise at the reference speed, deg/s/√Hz (two-sided, as N).
     #[serde(default)]
     pub broadband_deg_s_per_sqrt_hz: [f64; 3],
     /// Reference speed Ω_ref, rad/s; default: the vehicle's hover speed.
@@ -48,13 +48,13 @@ pub struct GyroVibration {
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct AccelVibration {
-    /// a, m/s²: amplitude of one rotor's tone at the reference speed.
+    /// Amplitude a of one rotor's tone at the reference speed, m/s².
     #[serde(default)]
     pub tone_m_s2: [f64; 3],
     /// r_h: amplitudes at 1, 2, 3 … times the rotor's speed, relative to a.
     #[serde(default = "fundamental_only")]
     pub harmonics: Vec<f64>,
-    /// n at the reference speed, m/s²/√Hz (two-sided, as N).
+    /// Density n of the broadband noise at the reference speed, m/s²/√Hz (two-sided, as N).
     #[serde(default)]
     pub broadband_m_s2_per_sqrt_hz: [f64; 3],
     /// Reference speed Ω_ref, rad/s; default: the vehicle's hover speed.
@@ -126,9 +126,9 @@ const SPIN_SIGNS: f64x4 = f64x4::new([-1.0, 1.0, -1.0, 1.0]);
 /// loops over them.
 struct Vibration {
     tone: Vec3<f64>,
-    /// r_h of the highest harmonic.
+    /// Amplitude r_h of the highest harmonic.
     highest: f64x4,
-    /// r_h of the other harmonics, from the first up.
+    /// Amplitudes r_h of the other harmonics, beginning with the first.
     lower: Box<[f64]>,
     deviation: Vec3<f64>,
     streams: NormalStreams,
@@ -177,8 +177,8 @@ fn wrapped(turns: f64x4) -> f64x4 {
     turns - ((turns + ROUNDER) - ROUNDER)
 }
 
-/// Returns sin 2πu and cos 2πu for u within ±¼ turn, with errors below 3.4e-9 and 2.3e-10: an odd and an even minimax
-/// polynomial.
+/// Returns sin 2πu and cos 2πu for u within ±¼ turn, with errors below 3.4e-9 and 2.3e-10. They are
+/// computed by an odd and an even minimax polynomial.
 #[inline(always)]
 fn sine_and_cosine(u: f64x4) -> (f64x4, f64x4) {
     const S: [f64x4; 5] = [
@@ -196,7 +196,7 @@ fn sine_and_cosine(u: f64x4) -> (f64x4, f64x4) {
         f64x4::splat(60.144_015_092_246_654),
         f64x4::splat(-24.982_237_802_386_635),
     ];
-    // Estrin's scheme: its operations depend less on each other than those of Horner's.
+    // Estrin's scheme is used, because its operations depend less on each other than those of Horner's.
     let v = u * u;
     let v2 = v * v;
     let v4 = v2 * v2;
@@ -275,7 +275,7 @@ mod tests {
     fn tones_are_at_aliases_and_grow_as_speed_squared() {
         for rotor in 0..4 {
             let mut rotors = [0.0; 4];
-            // 36 Hz, 72 Hz folded to 28 Hz, 108 Hz folded to 8 Hz.
+            // The tones are at 36 Hz, at 72 Hz folded to 28 Hz, and at 108 Hz folded to 8 Hz.
             rotors[rotor] = TAU * 36.0;
             for (frequency_hz, harmonic) in [(36.0, 1.0), (28.0, 0.5), (8.0, 0.25), (17.0, 0.0)] {
                 let got = amplitudes(&mut build(&tones(), 100.0), rotors, frequency_hz);
@@ -323,7 +323,7 @@ mod tests {
             }
             for (sum, n) in <[f64; 3]>::from(squares).into_iter().zip([0.1, 0.2, 0.3]) {
                 let (got, want) = ((sum / 20_000.0).sqrt() / DEG, n * part * 20.0);
-                // Five standard errors of a deviation from 20,000 draws: 5/√40,000.
+                // The bound is five standard errors of a deviation from 20,000 draws, which are 5/√40,000.
                 assert!((got - want).abs() <= 0.025 * want, "{got} {want}");
             }
         }

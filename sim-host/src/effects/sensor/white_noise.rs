@@ -121,7 +121,7 @@ mod tests {
             });
             for (sum, n) in <[f64; 3]>::from(sums).into_iter().zip(n) {
                 let got = libm::sqrt(sum / f64::from(batches) * 0.1);
-                // Five standard errors of a deviation from 20,000 draws: 5/√40,000.
+                // The bound is five standard errors of a deviation from 20,000 draws, 5/√40,000.
                 assert!((got / n - 1.0).abs() < 0.025, "{got} for {n}");
             }
         }

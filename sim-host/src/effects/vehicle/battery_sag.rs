@@ -83,7 +83,7 @@ struct Pack {
     ohm: f64,
     per_capacity_a_s: f64,
     charge: f64,
-    /// exp(−35 charge), updated with the charge.
+    /// Value of exp(−35 charge), updated with the charge.
     exponential: f64,
     voltage_v: f64,
 }
@@ -152,11 +152,11 @@ mod tests {
 
     #[test]
     fn constant_current_drains_charge_and_drops_r_i() {
-        // 6 A from 1 A·h: a tenth of the charge in a minute.
+        // 6 A from 1 A·h take a tenth of the charge in a minute.
         let mut pack = Pack::new(3.0, 1000.0, 50.0, 1.0);
         for k in 0..60_000 {
             let left = 1.0 - 6.0 * f64::from(k) * 1e-3 / 3600.0;
-            // The cell's voltage computed with powers instead of Horner's rule.
+            // This computes the cell's voltage with powers instead of Horner's rule.
             let cell = -1.031 * (-35.0 * left).exp() + 3.685 + 0.2156 * left - 0.1178 * left.powi(2)
                 + 0.3201 * left.powi(3);
             let voltage = 3.0 * cell - 6.0 * 0.05;
@@ -169,12 +169,13 @@ mod tests {
     #[test]
     fn rotor_speeds_fall_with_the_voltage() {
         let mut battery = command(&PARAMS);
-        // Fully charged and without load: 3 · 4.1029 V.
+        // Fully charged and without load, the battery has 3 · 4.1029 V.
         assert!((battery.battery_v().unwrap() - 12.3087).abs() < 1e-9);
         let mut wanted = [300.0; 4];
         battery.apply(&mut wanted, &snapshot(&STATE, 0.0, [0.0; 4]));
         assert!(wanted.iter().all(|w| (w - 300.0).abs() < 1e-9));
-        // Hovering: 4 · 7.5e-7 · 225.7³/0.7 = 49.27 W, I = 4.0719 A, which drops 0.2036 V.
+        // Hovering takes 4 · 7.5e-7 · 225.7³/0.7 = 49.27 W. The current is I = 4.0719 A, which causes a drop of
+        // 0.2036 V.
         let mut wanted = [300.0; 4];
         battery.apply(&mut wanted, &snapshot(&STATE, 0.001, [225.7; 4]));
         let voltage = battery.battery_v().unwrap();

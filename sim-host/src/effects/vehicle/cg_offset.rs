@@ -72,7 +72,7 @@ mod tests {
             })
         };
         assert!((load.torque - (moment(offset) - moment([0.0; 3]))).norm() < 1e-12);
-        // Weight forward: nose down, a negative torque about y.
+        // With the weight forward the nose goes down, which is a negative torque about y.
         assert!(load.torque.y < 0.0 && load.force.norm() == 0.0);
     }
 }

@@ -40,7 +40,7 @@ use random::NormalStream;
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Dryden {
-    /// V, m/s: the speed at which the gusts pass. For a vehicle that holds its position, the speed of the wind.
+    /// Speed V at which the gusts pass, m/s. For a vehicle that holds its position it is the speed of the wind.
     pub airspeed_m_s: f64,
     /// Wind at 20 ft, W₂₀, m/s; default `airspeed_m_s`.
     pub wind_20ft_m_s: Option<f64>,
@@ -111,7 +111,7 @@ struct FirstOrder(f64);
 struct Step {
     epsilon: f64,
     decay: f64,
-    /// √(1 − decay²): the noise of the first order.
+    /// Factor of the noise of the first order, √(1 − decay²).
     first: f64,
     /// The Cholesky factor of the noise of p and q.
     p: f64,
@@ -123,7 +123,7 @@ struct Step {
 fn moment_of_decay(k: u32, epsilon: f64) -> f64 {
     let mut term = (0..k).fold(epsilon, |product, _| product * epsilon);
     let mut sum = 0.0;
-    // |term| ≤ (2ε)ⁿ/n!: for ε ≤ 2, below 1e-16 before n = 36.
+    // |term| ≤ (2ε)ⁿ/n!, which for ε ≤ 2 is below 1e-16 before n = 36.
     for n in 0..36_u32 {
         sum += term / f64::from(n + k + 1);
         term *= -2.0 * epsilon / f64::from(n + 1);
@@ -243,13 +243,14 @@ mod tests {
 
     #[test]
     fn gust_intensity_and_length_meet_the_specification() {
-        // At 20 ft, 15 knots: σ_w = 1.5 knots; the powers of the base 0.19346 by its logarithm.
+        // At 20 ft and 15 knots σ_w is 1.5 knots. The powers of the base 0.19346 are computed by its logarithm.
         let t = Turbulence::at(20.0, 15.0 * 0.514_444);
         let base: f64 = 0.177 + 0.000823 * 20.0;
         assert!((t.sigma_down_m_s - 0.771_67).abs() < 1e-5);
         assert!((t.sigma_horizontal_m_s / t.sigma_down_m_s - (-0.4 * base.ln()).exp()).abs() < 1e-12);
         assert!((t.length_horizontal_m / 0.3048 - 20.0 * (-1.2 * base.ln()).exp()).abs() < 1e-9);
-        // At 1,000 ft the specification agrees with its model for medium altitude: isotropic, length 1,000 ft.
+        // At 1,000 ft the specification agrees with its model for medium altitude: the turbulence is
+        // isotropic, with a length of 1,000 ft.
         let t = Turbulence::at(1000.0, 10.0);
         assert!((t.sigma_horizontal_m_s - 1.0).abs() < 1e-9 && (t.length_horizontal_m - 304.8).abs() < 1e-6);
     }
@@ -292,15 +293,15 @@ mod tests {
         record
     }
 
-    /// The autocorrelation is e^(−x) along and (1 − x/2) e^(−x) across and down, x = t/τ: the transforms of the
-    /// spectra. The variance is its value at 0.
+    /// The autocorrelation is e^(−x) along and (1 − x/2) e^(−x) across and down, with x = t/τ. These are the
+    /// transforms of the spectra. The variance is the value at 0.
     #[test]
     fn gust_variance_and_correlation_match_the_spectra() {
         let params = Dryden { airspeed_m_s: 20.0, wind_20ft_m_s: Some(8.0), towards_deg: 0.0 };
         let t = Turbulence::at(6.096 / 0.3048, 8.0);
         let sigmas = [t.sigma_horizontal_m_s, t.sigma_horizontal_m_s, t.sigma_down_m_s];
         let taus = [t.length_horizontal_m, t.length_horizontal_m, t.length_down_m].map(|l| l / 20.0);
-        // 40 records of 100 s; the longest τ is 2.2 s, the shortest 0.3 s.
+        // There are 40 records of 100 s; the longest τ is 2.2 s, the shortest 0.3 s.
         let lags = [0.0, 0.5, 1.0, 2.0];
         let mut sums = [[0.0; 4]; 3];
         let (records, steps) = (40, 100_000);
@@ -337,7 +338,7 @@ mod tests {
         }
         let sigmas = [t.sigma_horizontal_m_s, t.sigma_horizontal_m_s, t.sigma_down_m_s];
         for (sum, sigma) in squares.into_iter().zip(sigmas) {
-            // Five standard errors of a variance from 20,000 draws: 5 √(2/20,000).
+            // The bound is five standard errors of a variance from 20,000 draws, 5 √(2/20,000).
             assert!((sum / 20_000.0 / (sigma * sigma) - 1.0).abs() < 0.05);
         }
     }

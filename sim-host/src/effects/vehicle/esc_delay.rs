@@ -86,7 +86,7 @@ mod tests {
     fn step_command_is_delayed() {
         assert_eq!(step_through(0.0), [100.0; 8]);
         assert_eq!(step_through(0.003), [0.0, 0.0, 0.0, 100.0, 100.0, 100.0, 100.0, 100.0]);
-        // 2.25 steps: a quarter of the third step is still the old value.
+        // The delay is 2.25 steps, so during a quarter of the third step the value is still the old one.
         let out = step_through(0.002_25);
         assert!((out[2] - 75.0).abs() < 1e-9 && out[1] == 0.0 && out[3] == 100.0, "{out:?}");
     }

@@ -5,7 +5,7 @@
 //! ESCs have steps of 4 to 8 µs. A step of s µs is s/1000 of full speed: for OS4 1 µs is 0.319 rad/s, at hover
 //! 0.28 % of a rotor's thrust.
 //!
-//! Source: rounding to the nearest step, halves to even.
+//! Source: rounding to the nearest step, and from halfway between two steps to the even one.
 
 use serde::Deserialize;
 

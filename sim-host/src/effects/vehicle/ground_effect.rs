@@ -86,7 +86,7 @@ mod tests {
     #[test]
     fn ground_effect_is_constant_below_half_a_radius() {
         let level = Quaternion::IDENTITY;
-        // 16/15 at z = R, 64/63 at 2R, 4/3 at R/2 and below.
+        // The factor is 16/15 at z = R, 64/63 at 2R, and 4/3 at R/2 and below.
         for (height_m, expected) in [(0.15, 16.0 / 15.0), (0.3, 64.0 / 63.0), (0.075, 4.0 / 3.0)] {
             for ratio in ratios(height_m, level) {
                 assert!((ratio - expected).abs() < 1e-12);

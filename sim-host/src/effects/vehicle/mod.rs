@@ -65,9 +65,9 @@ pub struct Stage<'a> {
 /// Force and torque on the body.
 #[derive(Clone, Copy, Debug)]
 pub struct Load {
-    /// N, north, east, down.
+    /// Force, N, north, east, down.
     pub force: Vec3<f64>,
-    /// N·m, body axes, about the centre of gravity.
+    /// Torque, N·m, body axes, about the centre of gravity.
     pub torque: Vec3<f64>,
 }
 
@@ -96,7 +96,7 @@ pub trait ThrustEffect: Send {
 
 /// A force and a torque on the body.
 pub trait BodyEffect: Send {
-    /// Adds to the load. `thrusts` are those of the rotors, N.
+    /// Adds the effect's force and torque to the load. `thrusts` are the thrusts of the rotors, N.
     fn apply(&self, load: &mut Load, thrusts: &[f64; 4], at: &Stage);
 
     /// Returns true if the load jumps with the command, although the speeds of rotors with a lag do not jump.

@@ -42,7 +42,7 @@ impl EffectParams for MotorFailure {
     fn build(&self, context: &BuildContext) -> VehicleEffect {
         VehicleEffect::Command(Box::new(Failure {
             rotor: self.rotor as usize - 1,
-            // The middle of the previous step, so that rounding of the time does not matter.
+            // The failure begins in the middle of the previous step, so that rounding of the time does not matter.
             after_s: self.at_s - 0.5 * context.interval_s(),
             limit_rad_s: self.limit * context.vehicle.max_rad_s,
         }))

@@ -54,7 +54,7 @@ mod tests {
 
     #[test]
     fn body_loses_angular_momentum_of_the_rotors() {
-        // Ω̇_r = 300 − 50 + 200 + 10 = 460 rad/s², times 6e-5 kg·m².
+        // The torque is Ω̇_r = 300 − 50 + 200 + 10 = 460 rad/s², times 6e-5 kg·m².
         let (load, _) =
             applied(&RotorAcceleration {}, &STATE, [200.0; 4], [300.0, 50.0, 200.0, -10.0], [1.0; 4]);
         assert_eq!((load.torque.x, load.torque.y), (0.0, 0.0));

@@ -2,9 +2,9 @@
 //!
 //! In edgewise flow the advancing blade meets faster air than the retreating one, and has more drag. Averaged over a
 //! turn, this is a force opposite to the in-plane part v⊥ of the velocity through the air, proportional to it and to
-//! the rotor's speed. k is in kg/rad, that is N per m/s and rad/s; 1.19·10⁻⁴ is RotorPy's value for the 8-inch
-//! propellers of a Hummingbird. The accelerometer measures this force, as it does linear drag. The force grows with
-//! the thrust.
+//! the rotor's speed. The unit of k is kg/rad, which is N divided by m/s and by rad/s. 1.19·10⁻⁴ is RotorPy's value for
+//! the 8-inch propellers of a Hummingbird. The accelerometer measures this force, as it does linear drag. The force
+//! grows with the thrust.
 //!
 //! All rotors are assumed to move with the centre of gravity: the ω × r of a rotor is small compared with v where
 //! this force matters.
@@ -64,7 +64,7 @@ mod tests {
     #[test]
     fn rotor_drag_acts_in_the_rotor_plane() {
         let drag = RotorDrag { k_kg_per_rad: 1e-4 };
-        // Rolled by 1 rad (57°), moving along the body's y and z: there is drag along y only.
+        // The vehicle is rolled by 1 rad (57°) and moves along the body's y and z. There is drag along y only.
         let (sin, cos) = (libm::sin(0.5), libm::cos(0.5));
         let attitude = Quaternion::new(cos, sin, 0.0, 0.0);
         let velocity = attitude.rotate(vec3(0.0, 3.0, 7.0));

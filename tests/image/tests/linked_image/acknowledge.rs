@@ -23,7 +23,7 @@ use image_tests::thumb::Flow;
 
 /// How a vector's interrupt is acknowledged.
 pub enum Source {
-    /// By these accesses of the handler, in this order.
+    /// The handler acknowledges the interrupt by these accesses, in this order.
     Acknowledged {
         by: &'static [Step],
         /// A path on which this flag was read as zero needs no acknowledgement.
@@ -52,7 +52,7 @@ pub enum Kind {
     WriteZeros(u32),
 }
 
-/// A flag that was read as zero: the interrupt was not asserted.
+/// A flag that was read as zero, which means that the interrupt was not asserted.
 #[derive(Clone, Copy)]
 pub struct NotAsserted {
     pub address: u32,

@@ -55,7 +55,7 @@ fn write_is_found_for_every_form_of_its_address() {
     refuses(&[&BASE, &[FLAG, 0xc006, RETURN]]);
     // strh.w r1, [r0, #8]
     assert_eq!(handler(&[&BASE, &[FLAG, 0xf8a0, 0x1008, RETURN]]), Ok(false));
-    // ldr r0, [pc, #4]: a literal behind the code.
+    // ldr r0, [pc, #4] loads a literal that is behind the code.
     let by_literal = [0x4801, FLAG, WRITE, RETURN, 0x6400, 0x4002];
     let image = Image::of(&[("handler", &by_literal)]).with_data(8..12);
     assert!(check(&image, "handler", &[CLEAR], None).is_ok());
@@ -73,7 +73,7 @@ fn path_without_the_write_is_reported() {
     // The same branch after a write, and the write under a condition: `it ne`, `strne`.
     assert_eq!(handler(&[&BASE, &[FLAG, WRITE, SKIP_ONE_IF_R3, WRITE, RETURN]]), Ok(false));
     refuses(&[&BASE, &[FLAG, 0xbf18, WRITE, RETURN]]);
-    // A return under a condition, and by pop.
+    // The return is under a condition, and by pop.
     refuses(&[&BASE, &[FLAG, 0xbf18, RETURN, WRITE, RETURN]]);
     refuses(&[&[PUSH, POP]]);
 }
@@ -128,7 +128,7 @@ fn called_function_may_acknowledge() {
     assert!(acknowledges(&[("handler", &[0xe7ff]), ("clear", &may_clear)]).is_err());
     // With a call by register the callee is unknown.
     assert!(acknowledges(&[("handler", &[PUSH, 0x4798, POP]), ("clear", &clears)]).is_err());
-    // A function that calls itself before the write.
+    // The function calls itself before the write.
     let itself = [PUSH, 0xf7ff, 0xfffd, POP];
     let message = acknowledges(&[("handler", &itself)]).unwrap_err();
     assert!(message.contains("nested too deep"), "{message}");

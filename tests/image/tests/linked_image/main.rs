@@ -65,7 +65,7 @@ const HANDLERS: [(&str, u8); 10] = [
     ("TIM5", 6),         // sample overdue
     ("USART2", 6),       // receive
     ("PVD", 7),          // the supply is too low
-    // Above all priorities: failure of the crystal oscillator.
+    // A failure of the crystal oscillator is above all priorities.
     ("NonMaskableInt", 17),
 ];
 
@@ -262,7 +262,7 @@ fn stack_bound(image: &Image) -> Result<u32, String> {
         *level = bytes.max(*level);
         each_on_top += SAVED_BYTES + bytes;
     }
-    // On top: an unexpected interrupt or a fault. Neither returns.
+    // An unexpected interrupt or a fault can come on top. Neither returns.
     let last = SAVED_BYTES + bytes_of("DefaultHandler", "any")?.max(bytes_of("HardFault", "fault")?);
 
     let bound = base + levels.values().map(|level| SAVED_BYTES + level).sum::<u32>() + last;

@@ -156,7 +156,7 @@ struct Machine<'a> {
     accesses: &'a mut Vec<Access>,
 }
 
-// Operation codes of the wide arithmetic.
+// These are the operation codes of the wide arithmetic.
 const AND: u32 = 0;
 const BIC: u32 = 1;
 const ORR: u32 = 2;

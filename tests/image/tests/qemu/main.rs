@@ -37,7 +37,7 @@ fn five_seconds_on_the_board_equal_the_host_bit_for_bit() {
         assert_eq!(board, host, "slot {slot}: words of the board and of the host");
     }
 
-    // The input table covers the cases: it flies, stops, and misses samples.
+    // The input table covers the cases: the vehicle flies and stops, and samples are missing.
     let driven = host.iter().filter(|words| words[1] == 1).count();
     assert!((1_500..2_500).contains(&driven), "driven in {driven} steps");
     assert_eq!(host.last().unwrap()[1], 0, "the sensor loss stops the motors");
@@ -121,7 +121,7 @@ fn estimators_equal_the_host_and_stages_keep_their_budgets() {
         assert!(inputs >= 1_024, "{stage}: {inputs} inputs");
         image_tests::budget("instructions", stage, max);
     }
-    // From the converters' counts to the ESCs' pulses, with every sensor in every step.
+    // The figure is from the converters' counts to the ESCs' pulses, with every sensor in every step.
     for (name, estimator) in
         [("chain of paper", "estimator paper 9-axis"), ("chain of flight", "estimator flight 9-axis")]
     {

@@ -1,4 +1,4 @@
-//! The decoders with broken frames, and with valid frames behind them.
+//! Feeds the decoders with broken frames, each followed by valid frames.
 
 use receiver::{Protocol, RECOVERY_FRAMES, Receiver};
 
@@ -117,7 +117,8 @@ fn spliced_frames_are_caught_by_the_crsf_checksum() {
             let (one, two) = (random.channels(), random.channels());
             let (first, second) = (wire::channels(protocol, &one), wire::channels(protocol, &two));
             for at in 1..first.len() {
-                // The start of one frame with the end of another, and the start of one with another whole frame.
+                // The line has the start of one frame with the end of another, or the start of one with another
+                // whole frame.
                 let ended = [&first[..at], &second[at..]].concat();
                 start_us += 20_000;
                 let taken = then_a_good_one(&mut receiver, protocol, start_us, &ended);
@@ -135,7 +136,8 @@ fn spliced_frames_are_caught_by_the_crsf_checksum() {
             "{protocol:?}: {wrong} wrong frames of {spliced} spliced ones, {last_lost} of the last lost"
         );
         match protocol {
-            // Header, flags and footer are the same: SBUS cannot detect it. The port can: a lost byte is an overrun.
+            // Header, flags and footer are unchanged, so SBUS cannot detect the loss. The port can, because a lost byte
+            // is an overrun.
             Protocol::Sbus => assert!(wrong > 0),
             // One of 256 has a matching checksum. The frame behind the splice is lost if the bytes before it look like
             // the start of a longer frame, for which the decoder still waits when the pause comes.
@@ -157,7 +159,7 @@ fn second_good_frame_after_any_garbage_is_accepted() {
         for _ in 0..20_000 {
             let mut receiver = Receiver::new(protocol);
             let mut garbage: Vec<u8> = (0..random.below(80)).map(|_| random.byte()).collect();
-            // The worst case at the end of the garbage: the start of a frame.
+            // The worst case is garbage that ends with the start of a frame.
             let beginning = wire::channels(protocol, &random.channels());
             garbage.extend(&beginning[..random.below(beginning.len() as u64) as usize]);
             send(&mut receiver, protocol, 10_000, &garbage);

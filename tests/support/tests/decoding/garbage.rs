@@ -1,4 +1,4 @@
-//! The decoders with a million random bytes.
+//! Feeds the decoders with a million random bytes.
 
 use receiver::{Frame, Protocol, Receiver};
 
@@ -66,7 +66,7 @@ fn random_bytes_give_no_run_of_frames() {
             let bytes = (0..BYTES).map(|n| (random.byte(), pattern(protocol, n, &mut random)));
             let frames = found(protocol, bytes);
             println!("{protocol:?}, {name}: {} frames", frames.len());
-            // Four frames where 0.19 are expected have a probability of 1 in 20,000.
+            // 0.19 frames are expected. The probability of four or more is 1 in 20,000.
             assert!(frames.len() < 4, "{protocol:?}, {name}: {}", frames.len());
             assert_eq!(longest_run_us(&frames, 1_000_000), 0);
             total += frames.len();
@@ -105,7 +105,7 @@ fn malicious_frames_pass_at_the_computed_rate() {
             found.len(),
             longest_run_us(&found, 1_000_000) / 1_000,
         );
-        // Four standard deviations of a Poisson distribution.
+        // The bound is four standard deviations of a Poisson distribution.
         assert!((found.len() as f64 - expected).abs() < 4.0 * expected.sqrt());
     }
 }

@@ -58,7 +58,7 @@ fn published_crsf_frames_are_decoded() {
         receive(0xc8, &frame[1..])[..].try_into().map(|[frame]: [Frame; 1]| [frame.channels]).unwrap();
     assert_eq!(channels[..9], [0x7ff, 0x1f, 0, 172, 0, 992, 0, 1811, 0]);
 
-    // The catalogue's check value of CRC-8/DVB-S2 (reveng).
+    // This is the catalogue's check value of CRC-8/DVB-S2 (reveng).
     assert_eq!(wire::crc(b"123456789"), 0xbc);
 }
 
@@ -85,7 +85,7 @@ fn sbus_accepts_only_valid_flags_and_footers() {
 
 #[test]
 fn crsf_link_quality_decides_whether_frames_are_live() {
-    // Statistics from the tests of the `crsf` crate: uplink quality 99 %.
+    // The statistics are from the tests of the `crsf` crate; the uplink quality is 99 %.
     let published = [0xc8, 12, 0x14, 16, 19, 99, 151, 1, 2, 3, 8, 88, 148, 252];
     let channels = wire::crsf_channels(&[992; 16]);
     let mut receiver = listening(Protocol::Crsf);
@@ -95,7 +95,7 @@ fn crsf_link_quality_decides_whether_frames_are_live() {
     assert_eq!(at(8_000, &published), []);
     let frame = at(12_000, &channels)[0];
     assert_eq!((frame.link_quality, frame.is_live()), (Some(99), true));
-    // Statistics and channels back to back, as receivers send them.
+    // Statistics and channels come back to back, as receivers send them.
     let frame = at(16_000, &[&wire::crsf_quality(0)[..], &channels].concat())[0];
     assert_eq!((frame.link_quality, frame.failsafe, frame.is_live()), (Some(0), true, false));
     // A report expires after a while. Without a report, channels are live by themselves.
