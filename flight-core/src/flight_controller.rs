@@ -9,7 +9,7 @@ use crate::calibration::{Calibration, SensorFields, SensorModel};
 use crate::config::Config;
 use crate::control::Controller;
 use crate::esc::Esc;
-use crate::estimator::{Estimator, GyroZero};
+use crate::estimator::{Estimator, FilterInput, GyroZero};
 use crate::geometry::{Quaternion, Vec3};
 use crate::imu_check::ImuCheck;
 use crate::mixer::{Mixer, Saturation, Wrench};
@@ -240,7 +240,12 @@ impl FlightController {
             // The attitude is too old, or there has been no sample yet: the estimation starts again.
             self.restart_estimation();
         }
-        let mag = input.mag.map(|sample| self.mag_prefilter.step(self.mag_model.apply(sample.counts)));
+        let takes = self.estimator.input();
+        let mag = input.mag.map(|sample| {
+            let calibrated = self.mag_model.apply(sample.counts);
+            let filtered = self.mag_prefilter.step(calibrated);
+            if takes == FilterInput::Calibrated { calibrated } else { filtered }
+        });
         // A magnetometer sample without an IMU sample passes its prefilter; the estimator does not need it.
         let sample = imu?;
         self.imu_check.update(sample);
@@ -259,11 +264,12 @@ impl FlightController {
         }
         let zero = self.gyro_zero.bias();
         self.rates = gyro - zero;
-        if self.estimator.is_low_pass() {
-            self.estimator.update(calibrated.0 - zero, calibrated.1, mag, dt_s);
-            self.rates = self.rates - self.estimator.gyro_bias();
-        } else {
-            self.estimator.update(self.rates, accel, mag, dt_s);
+        match takes {
+            FilterInput::Prefiltered => self.estimator.update(self.rates, accel, mag, dt_s),
+            FilterInput::Calibrated => {
+                self.estimator.update(calibrated.0 - zero, calibrated.1, mag, dt_s);
+                self.rates = self.rates - self.estimator.gyro_bias();
+            }
         }
         Some(dt_s)
     }

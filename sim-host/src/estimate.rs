@@ -14,6 +14,7 @@ use std::io::Write as _;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
+use flight_core::STANDARD_GRAVITY;
 use flight_core::estimator::{Estimator, EstimatorParams, GyroZero};
 use flight_core::geometry::{Quaternion, Vec3};
 use flight_core::prefilter::{Biquad, Prefilter};
@@ -44,6 +45,8 @@ pub struct Request {
 pub struct Report {
     /// The score of each estimator, by its name.
     pub estimators: BTreeMap<&'static str, Score>,
+    /// What makes the errors doubtful.
+    pub warnings: Vec<String>,
     /// Rows of the log.
     #[serde(skip)]
     pub rows: usize,
@@ -77,7 +80,8 @@ pub fn run(request: &Request) -> Result<Report, InputError> {
     let samples = samples(&log, request)?;
     let still = GyroAtRest::learn(&samples);
 
-    let mut report = Report { estimators: BTreeMap::new(), rows: log.rows.len(), scored_rows: 0 };
+    let warnings = gravity_warning(&log).into_iter().collect();
+    let mut report = Report { estimators: BTreeMap::new(), warnings, rows: log.rows.len(), scored_rows: 0 };
     let mut columns = Vec::new();
     for (name, params) in presets {
         let zeroed = (params == EstimatorParams::FLIGHT).then(|| still.zero(&samples));
@@ -108,6 +112,20 @@ pub fn run(request: &Request) -> Result<Report, InputError> {
         write_attitudes(out, &log, &columns)?;
     }
     Ok(report)
+}
+
+/// Returns a warning for a log whose specific force does not contain gravity, as phones deliver it. Half of the samples of a
+/// vehicle that flies for long have at least about 1 g: its mean acceleration is small.
+fn gravity_warning(log: &Log) -> Option<String> {
+    let mut sizes: Vec<f64> = log.rows.iter().map(|row| Vec3::from(row.accel_m_s2).norm()).collect();
+    sizes.sort_by(f64::total_cmp);
+    let median = *sizes.get(sizes.len() / 2)?;
+    (median < 0.5 * f64::from(STANDARD_GRAVITY)).then(|| {
+        format!(
+            "the accelerometer reads {median:.2} m/s² in the median: gravity seems to have been removed from it, so that no \
+             estimator can find the tilt"
+        )
+    })
 }
 
 /// Returns the presets with these names, or all for no names.
@@ -336,6 +354,9 @@ impl fmt::Display for Report {
                 score.ns_per_update
             )?;
         }
+        for warning in &self.warnings {
+            write!(f, "\nwarning: {warning}")?;
+        }
         Ok(())
     }
 }
@@ -400,6 +421,27 @@ mod tests {
         assert!((inclination / expected - 1.0).abs() < 0.02, "{inclination} against {expected}");
     }
 
+    /// Without gravity `robust` starts level after a second, and integrates the gyroscope.
+    #[test]
+    fn log_without_gravity_is_integrated_with_a_warning() {
+        let mut rows = rows(200, 20);
+        for row in &mut rows {
+            row.accel_m_s2 = [0.01, -0.02, 0.03];
+            row.gyro_rad_s[0] = 0.0;
+        }
+        let (_directory, mut request) = written(&rows);
+        request.estimators = vec!["robust".into()];
+        let report = run(&request).unwrap();
+        let [warning] = &report.warnings[..] else { panic!("{:?}", report.warnings) };
+        assert!(
+            warning.contains("reads 0.04 m/s² in the median: gravity seems to have been removed"),
+            "{warning}"
+        );
+        assert!(report.to_string().ends_with(warning));
+        let total = report.estimators["robust"].total_rmse_deg.unwrap();
+        assert!(total < 0.1, "{total}");
+    }
+
     #[test]
     fn json_and_table_have_the_documented_form() {
         let report = Report {
@@ -412,12 +454,13 @@ mod tests {
                     ns_per_update: 50.0,
                 },
             )]),
+            warnings: vec![],
             rows: 2,
             scored_rows: 1,
         };
         assert_eq!(
             serde_json::to_string(&report).unwrap(),
-            r#"{"estimators":{"paper":{"total_rmse_deg":3.0,"heading_rmse_deg":null,"inclination_rmse_deg":1.5,"ns_per_update":50.0}}}"#
+            r#"{"estimators":{"paper":{"total_rmse_deg":3.0,"heading_rmse_deg":null,"inclination_rmse_deg":1.5,"ns_per_update":50.0}},"warnings":[]}"#
         );
         assert_eq!(
             report.to_string(),

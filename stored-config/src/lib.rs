@@ -33,7 +33,7 @@ pub const MAGIC: [u8; 4] = *b"KSTC";
 
 /// Version of the fields of [`Config`]. Increment it when a field is added, removed or moved: postcard stores no names
 /// and would decode one field as another.
-pub const VERSION: u16 = 2;
+pub const VERSION: u16 = 3;
 
 /// Maximum length of a record, bytes.
 pub const MAX_RECORD: usize = 1024;

@@ -145,11 +145,11 @@ fn errors_name_the_defect_of_a_record() {
         (std::vec![0; MAX_RECORD], DecodeError::Magic, "not a record"),
         (std::vec![], DecodeError::Truncated, "truncated"),
         (too_long, DecodeError::Length, "length above the maximum"),
-        (sealed(3, content), DecodeError::Version(3), "version 3, must be 2"),
-        (sealed(0, &[]), DecodeError::Version(0), "version 0, must be 2"),
-        (sealed(2, &[]), DecodeError::Content, "not a configuration"),
-        (sealed(2, &longer), DecodeError::Content, "not a configuration"),
-        (sealed(2, shorter), DecodeError::Content, "not a configuration"),
+        (sealed(4, content), DecodeError::Version(4), "version 4, must be 3"),
+        (sealed(0, &[]), DecodeError::Version(0), "version 0, must be 3"),
+        (sealed(3, &[]), DecodeError::Content, "not a configuration"),
+        (sealed(3, &longer), DecodeError::Content, "not a configuration"),
+        (sealed(3, shorter), DecodeError::Content, "not a configuration"),
     ] {
         assert_eq!(decode(&bytes), Err(error));
         assert_eq!(format!("{error}"), name);
@@ -159,7 +159,7 @@ fn errors_name_the_defect_of_a_record() {
 }
 
 /// Names of the fields of a record, in order. A change requires a new [`VERSION`].
-const FIELDS_OF_VERSION_2: &str = "\
+const FIELDS_OF_VERSION_3: &str = "\
     params imu_rate_hz mag_rate_hz gyro per_count mounting rows x y z x y z x y z accel per_count \
     mounting rows x y z x y z x y z mag per_count mounting rows x y z x y z x y z \
     prefilter_cutoff_hz estimator method kinematics weight tau_s declination_rad airframe \
@@ -184,6 +184,6 @@ fn changed_fields_require_a_new_version() {
         fields += name;
         fields.push(' ');
     }
-    assert_eq!(fields.trim_end(), FIELDS_OF_VERSION_2, "changed fields require a new VERSION");
+    assert_eq!(fields.trim_end(), FIELDS_OF_VERSION_3, "changed fields require a new VERSION");
     assert_eq!(record(&calibrated()).len(), 455, "a changed size requires a new VERSION");
 }

@@ -199,15 +199,14 @@ fn firmware_figures_on_pages_equal_the_budgets() {
                 "| bench, stand, near hover | {estimator paper 9-axis} |",
                 "| comparison with the paper | {estimator paper 9-axis} |",
                 "flight; the default | {estimator flight 9-axis} |",
-                "that drifts; recordings | {estimator robust 9-axis} |",
+                "that drifts or vibrates; recordings | {estimator robust 9-axis}, mean",
             ],
         ),
         (
             "docs/accuracy.md",
             &[
                 "over recordings | {mean estimator flight 9-axis} instructions |",
-                "6.5°, {mean estimator robust 9-axis} |",
-                "sensor to motors, would go from {sample to motors} to",
+                "7.0°, {mean estimator robust 9-axis} |",
             ],
         ),
     ] {

@@ -79,7 +79,9 @@ impl EulerFilter {
         let (sin_pitch, cos_pitch) = self.pitch_sc;
         let forward = m.x * cos_pitch + (m.y * sin_roll + m.z * cos_roll) * sin_pitch;
         let right = m.y * cos_roll - m.z * sin_roll;
-        if forward * forward + right * right < MIN_HORIZONTAL_FIELD_SQUARED {
+        // NaN fails this comparison too.
+        let usable = forward * forward + right * right >= MIN_HORIZONTAL_FIELD_SQUARED;
+        if !usable {
             return;
         }
         let yaw = direction(-right, forward) + self.declination_rad;

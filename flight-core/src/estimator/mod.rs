@@ -121,7 +121,7 @@ impl EstimatorParams {
         Self::complementary(Kinematics::Quaternion, Weight::TimeConstant { tau_s: 10.0 });
     /// The filter that estimates gyroscope bias and disturbances.
     pub const ROBUST: Self = Self {
-        method: Method::Robust(RobustParams { tilt_tau_s: 5.0, heading_tau_s: 9.0 }),
+        method: Method::Robust(RobustParams { speed_m_s: 0.3, heading_noise_rad: 0.13 }),
         declination_rad: 0.0,
     };
 
@@ -167,12 +167,23 @@ impl<'a> Setting<'a> {
     }
 }
 
+/// Which inputs a filter takes after the prefilter.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum FilterInput {
+    /// All, in the order of the paper.
+    Prefiltered,
+    /// None: the filter averages specific force and field over seconds itself. A prefilter takes a fast oscillation out of
+    /// the rates and leaves the rotation that it causes in the mean (coning), which then looks like a bias. It also delays
+    /// the attitude: 30 Hz by √2/(2π · 30 Hz) = 7.5 ms, which is 1.5° at 200 °/s.
+    Calibrated,
+}
+
 /// Interface of all filters. A new filter is a file with a struct that implements this trait, plus one line in
 /// [`Method`], [`EstimatorParams::settings`], [`Filters`], [`with_filter!`](crate::with_filter) and [`Estimator::new`]. A
 /// preset of it, which scenes and vehicle files select by name, is a line in [`EstimatorParams::PRESETS`].
 pub trait Filter {
-    /// Whether the filter averages accelerometer and magnetometer over seconds, so that its inputs need no prefilter.
-    const IS_LOW_PASS: bool = false;
+    /// Which of its inputs the filter takes after the prefilter.
+    const INPUT: FilterInput = FilterInput::Prefiltered;
 
     /// Processes one sample: see [`Estimator::update`].
     fn update(&mut self, gyro: Vec3<f32>, accel: Vec3<f32>, mag: Option<Vec3<f32>>, dt_s: f32);
@@ -213,8 +224,12 @@ pub trait Filter {
 // of a field, and each read of it takes four instructions.
 #[derive(Clone, Copy, Debug)]
 #[repr(u32)]
+#[allow(
+    clippy::large_enum_variant,
+    reason = "without a heap there is nothing to put the largest filter into"
+)]
 pub enum Filters {
-    /// Complementary filter on a quaternion. It is the usual filter in flight. It is the first variant, so that its
+    /// Complementary filter on a quaternion. It is the first variant, so that its
     /// discriminant is 0, because a comparison with 0 takes one instruction less than one with another number.
     Quaternion(QuaternionFilter),
     /// Complementary filter in Euler angles.
@@ -248,8 +263,8 @@ impl Estimator {
     /// Creates an estimator that starts from its first sample.
     ///
     /// # Errors
-    /// Returns the first parameter outside its range: τ 10⁻³ to 10⁴ s, α 0 to 1, time constants of [`RobustParams`]
-    /// 0.1 to 100 s (tilt) and 0.1 to 1,000 s (heading), declination ±π.
+    /// Returns the first parameter outside its range: τ 10⁻³ to 10⁴ s, α 0 to 1, of [`RobustParams`] the speed
+    /// 0.05 to 50 m/s and the noise of the heading 0.001 to 10 rad/√Hz, declination ±π.
     pub fn new(params: &EstimatorParams) -> Result<Self, ConfigError> {
         for Setting { name, value, range: [minimum, maximum] } in { *params }.settings() {
             check(name, *value, minimum, maximum)?;
@@ -271,7 +286,8 @@ impl Estimator {
     /// magnetic field (µT) if there is a new one, all in body axes. The first sample sets the attitude.
     ///
     /// Valid samples have `dt_s` above 0, turn the body by less than 1,000 rad, and have components below 10⁸ m/s²
-    /// and µT. With valid samples the attitude stays finite; with others it is unspecified.
+    /// and µT. With valid samples the attitude stays finite; with others it is unspecified, except that `robust` ignores
+    /// them.
     /// [`crate::FlightController`] passes only valid samples, because [`crate::calibration::SensorModel`] bounds the
     /// readings.
     #[inline]
@@ -303,13 +319,11 @@ impl Estimator {
         with_filter!(&self.filter, filter => filter.gyro_bias())
     }
 
-    /// Returns whether the input needs no prefilter, because the filter averages accelerometer and magnetometer over
-    /// seconds. A prefilter would only delay the attitude. With a cutoff of 30 Hz the delay is
-    /// √2/(2π · 30 Hz) = 7.5 ms, which at 200 °/s is an error of 1.5°.
+    /// Returns which inputs the filter takes after the prefilter.
     #[inline(always)]
-    pub fn is_low_pass(&self) -> bool {
-        fn of<F: Filter>(_: &F) -> bool {
-            F::IS_LOW_PASS
+    pub fn input(&self) -> FilterInput {
+        fn of<F: Filter>(_: &F) -> FilterInput {
+            F::INPUT
         }
         with_filter!(&self.filter, filter => of(filter))
     }

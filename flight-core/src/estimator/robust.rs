@@ -1,48 +1,58 @@
-//! An attitude filter that also estimates its disturbances: gyroscope bias, acceleration, and two kinds of magnetic
-//! disturbance.
+//! A Kalman filter for the attitude that also estimates its disturbances: bias and scale of the gyroscope,
+//! acceleration, and two kinds of magnetic disturbance.
 //!
 //! ```text
-//!  ω ─(− b)──► rotate q ─┬─► world: f/g ──► low-pass ──► tilt error ──┬──► correction, 1/τ ──► q
-//!                        │                                            └──► b, with gain P/R
-//!                        └─► world: m − o ──► known field? ─┬──► heading error ──► as the tilt error
-//!                                                           └──► o, the field of the sensor, while turning
+//!  ω ─(− b − s ω)──► rotate q ─┬─► world: f ──► ∫ ──► v = 0 ──────┐
+//!                              │                                  ├──► gains ──► q, v, b, s
+//!                              └─► world: m − o ──► heading = 0 ──┘
 //! ```
 //!
-//! **Acceleration.** In world axes the mean of f = a − g over a time T is Δv/T − g, for any motion of the vehicle.
-//! Averaged in world axes, acceleration therefore cancels by itself as long as the speed stays bounded, also in free
-//! flight, where no single sample shows the tilt. (Mahony et al. 2008 average in body axes; averaging in a nearly
-//! inertial frame is from Laidig and Seel, *VQF*, Information Fusion 91, 2023.) The low-pass is the first half of the
-//! loop, the correction the second. With θ the tilt error, l the low-passed tilt error, a the horizontal acceleration
-//! and β the remaining bias,
+//! The states are the attitude q, the horizontal velocity v, and the bias b and scale error s of the gyroscope, with
+//! the covariance of their errors: the error-state filter of Solà, *Quaternion kinematics for the error-state Kalman
+//! filter* (2017), with attitude errors in world axes.
 //!
-//! l̇ = (θ + a/g − l) · 2/τ,  θ̇ = β − l/τ,  so  θ = −(a/g) · 2/(s²τ² + 2sτ + 2) + β (s τ² + 2τ)/(s²τ² + 2sτ + 2):
+//! **Acceleration.** No sensor measures the velocity, but it is bounded: "the velocity is zero" is a measurement with
+//! an error as large as the velocity itself. A tilt error θ turns gravity into the horizontal, where it integrates to
+//! gθt, which soon is larger than the true velocity; the acceleration of the vehicle integrates to its true velocity
+//! and no further. So acceleration cancels by itself, also in free flight, where no single sample shows the tilt.
+//! (Mahony et al. 2008 average in body axes; averaging in a nearly inertial frame is from Laidig and Seel, *VQF*,
+//! Information Fusion 91, 2023; the measurement of velocity zero is known from foot-mounted navigation.) The specific
+//! force is integrated without any exception for large or small values: leaving out single samples would break the
+//! balance, and rectify the motion. The error of the measurement is σ² = `speed_m_s`² + [`SPEED_SHARE`] · mean v²,
+//! over a time of correlation of [`SPEED_S`]: slow motion is corrected quickly, fast motion slowly.
 //!
-//! This is a Butterworth low-pass with ω₀ = √2/τ from a/g to θ; a constant bias causes a final error of τ times the
-//! bias. A step of the speed by Δv changes θ by no more than the peak of the impulse response, 2/τ · e^(−π/4)
-//! sin(π/4) = 0.645/τ: 0.645 Δv/(g τ).
+//! **Bias and scale.** The covariances between them and the attitude follow from the motion itself: while the sensor
+//! turns, R in ∫ R dt changes, and with it the axis that a tilt error speaks about. Gyroscopes have scale errors of
+//! some tenths of a percent, which at 400 °/s are 1 to 2 °/s. At rest the gyroscope measures its bias directly.
 //!
-//! After the start, age²/τ replaces τ until the age of the filter reaches τ.
+//! **Start.** The first sample sets the tilt, and the mean of the first tenth of a second sets it again, with a standard
+//! deviation of 30°: in motion it may be that wrong. The
+//! gains of a Kalman filter then fall with time as they should, for any bias up to some [`FIRST_BIAS`]. A vehicle that
+//! starts upside down, with a specific force that points down in the mean over [`FORCE_S`], is turned round. At rest an estimate whose tilt is wrong by more than 30° starts again, with its bias. Without
+//! gravity in the specific force, as phones deliver it, the filter starts level after [`NO_GRAVITY_S`], and integrates
+//! the gyroscope.
 //!
-//! **Bias.** After the start, the mean correction rate is the bias. Three scalar variances P weight the correction:
-//! the filter is a Kalman filter for a bias with a random walk of [`BIAS_WALK`], observed through white noise of
-//! [`MOVING_NOISE`], or of [`REST_NOISE`] when the sensor is at rest and the gyroscope itself is the measurement.
-//! Tilt contains no information about a bias about the vertical, and heading only about that one: P decreases only in
-//! the observed directions. The low-passed tilt error belongs to the orientations of the body over the time of the
-//! low-pass. The directions of the body axes therefore pass through the same low-pass (VQF does the same). With the
-//! present directions instead, the tilt error of a tumbling body would change the bias with the wrong sign, and both
-//! would diverge within half an hour.
+//! **Magnetic field.** A field whose horizontal and vertical parts differ from their means has little weight for the
+//! heading (the test of VQF, in other coordinates and with a continuous weight). A field that lasts is accepted as the
+//! field of a new place. A field that rotates with the sensor is not a disturbance but a change of its calibration: it
+//! is the part of the field that is not constant in the world, and is estimated slowly while the sensor turns. See
+//! `robust/field.rs`.
 //!
-//! **Magnetic field.** A field whose horizontal and vertical parts differ from their means over the last
-//! [`FIELD_TAU_S`] by more than [`FIELD_TOLERANCE`] of its strength does not correct the heading (the test of VQF, in
-//! other coordinates). A field that lasts for [`NEW_FIELD_S`] is accepted as the field of a new place. A field that
-//! rotates with the sensor is not a disturbance but a change of its calibration: it is the part of the field that is
-//! not constant in the world, and is estimated slowly while the sensor turns.
+//! **Time.** Rotation and sums are updated with each sample. The work on the covariance is a cycle of
+//! [`PARTS`] parts in at least [`CYCLE_S`], spread over the samples, so that no sample takes long.
+
+mod covariance;
+mod field;
+mod rest;
 
 use super::at_rest::MAX_BIAS;
-use super::{Filter, MIN_HORIZONTAL_FIELD_SQUARED, MIN_SPECIFIC_FORCE_SQUARED, Setting};
+use super::{Filter, FilterInput, MIN_HORIZONTAL_FIELD_SQUARED, MIN_SPECIFIC_FORCE_SQUARED, Setting};
 use crate::STANDARD_GRAVITY;
 use crate::arithmetic::{atan2, max, min, sin_cos, sqrt, wrap_pi};
 use crate::geometry::{Quaternion, Vec3, vec3};
+use covariance::{ATTITUDE, BIAS, Covariance, SCALE, STATES, Transition, VELOCITY};
+use field::MagneticField;
+use rest::RestDetector;
 
 /// rad/°.
 const DEGREE: f32 = core::f32::consts::PI / 180.0;
@@ -55,268 +65,449 @@ const MAX_FIELD: f32 = 1.0e4;
 /// Longest time between two samples that is integrated, s.
 const MAX_DT_S: f32 = 1.0;
 
-/// Standard deviation of the bias at the start, rad/s.
+/// Standard deviations at the start: tilt and heading (rad), velocity (m/s), bias (rad/s), scale (1).
+const FIRST_TILT: f32 = 30.0 * DEGREE;
+/// Before the first field the heading is zero by definition; its error comes from the tilt at the start.
+const FIRST_HEADING: f32 = 10.0 * DEGREE;
+const FIRST_VELOCITY: f32 = 1.0;
 const FIRST_BIAS: f32 = 3.0 * DEGREE;
-/// Random walk of the bias, rad/s/√s: 0.2 °/s in 100 s, as of a chip with 0.01 to 0.02 °/s/K that warms up by 10 to
-/// 20 K.
-const BIAS_WALK: f32 = 0.02 * DEGREE;
-/// Noise of the bias measurement at rest, rad/s/√Hz. With the random walk it gives a time constant of 0.1/0.02 = 5 s
-/// and a standard deviation of √(0.1 · 0.02) = 0.045 °/s.
-const REST_NOISE: f32 = 0.1 * DEGREE;
-/// Noise of the bias measurement in motion, rad/s/√Hz: a time constant of 0.5/0.02 = 25 s and √(0.5 · 0.02) =
-/// 0.1 °/s. A tilt error that varies by σ over τ is a noise of σ √(2/τ): 0.5 for σ = 0.8° and 5 s.
-const MOVING_NOISE: f32 = 0.5 * DEGREE;
-/// Largest share of the correction that changes the bias, s⁻¹, times τ. The loop of l, θ and b with gain k has the
-/// polynomial s³τ²/2 + s²τ + s + k, which is stable for k < 2/τ (Routh); this limit is nearly 6 times lower.
-const MAX_LEARNING: f32 = 0.35;
-/// Largest tilt error that counts as caused by a bias, in g (17°). A larger one is a start with a wrong attitude, or
-/// a manoeuvre.
-const MAX_BIAS_TILT_ERROR: f32 = 0.3;
+const FIRST_SCALE: f32 = 0.005;
+/// Standard deviation of the heading after the first field, rad. It is large, so that the first fields count alike.
+const FIELD_HEADING: f32 = 30.0 * DEGREE;
+/// Largest standard deviations of attitude (rad) and velocity (m/s). Bias and scale are limited to the first ones.
+const MAX_ATTITUDE: f32 = 60.0 * DEGREE;
+const MAX_VELOCITY: f32 = 100.0;
 
-/// The sensor is at rest while its readings, smoothed over [`REST_FAST_S`], have differed from their means over
-/// [`REST_SLOW_S`] by less than these for [`REST_FOR_S`], rad/s and m/s². The smoothing makes the test the same at
-/// any sample rate: a noise density N leaves N/√(4 · 0.02 s), 0.11 °/s for the noisiest axis of the paper. A steady
-/// turn at ω about a horizontal axis changes the specific force by gω per second, so that it leads its mean by gω ·
-/// 0.5 s: the test detects a turn above 2.3 °/s.
-const REST_RATE: f32 = 2.0 * DEGREE;
-const REST_FORCE: f32 = 0.2;
-const REST_FAST_S: f32 = 0.02;
-const REST_SLOW_S: f32 = 0.5;
-const REST_FOR_S: f32 = 1.5;
-/// A steady rate counts as a slow turn if its difference from the estimated bias exceeds this value plus three standard
-/// deviations, rad/s.
+/// Noise of the attitude, rad/√s: what no other state explains, as a wrong sample. With the noise of the velocity in slow
+/// motion it gives the tilt a time constant of some 5 s.
+const TURN_NOISE: f32 = 0.1 * DEGREE;
+/// Share of the rate that adds to this noise, rad per rad/s and √s: what is left of misaligned axes.
+const TURN_NOISE_SHARE: f32 = 0.001;
+/// Share of the change of velocity that adds to its error: the accelerometer's errors of scale and alignment. It also
+/// keeps the error above the rounding of the covariances at any specific force.
+const FORCE_SHARE: f32 = 0.001;
+/// Random walk of the bias, rad/s/√s: 0.05 °/s in 100 s.
+const BIAS_WALK: f32 = 0.005 * DEGREE;
+/// Noise of the bias measurement at rest, rad/s/√Hz.
+const REST_NOISE: f32 = 0.17 * DEGREE;
+/// Standard deviation of the velocity at rest, m/s.
+const REST_SPEED: f32 = 0.05;
+/// Difference between a steady rate and the known bias, plus three standard deviations, above which the rate is a
+/// slow turn, rad/s.
 const REST_BIAS_CHANGE: f32 = 1.0 * DEGREE;
+/// Cosine of the tilt error at rest above which the filter starts again: 30°.
+const COS_REST_TILT: f32 = 0.866_025;
+/// Correlation time of the velocity, s: twice its half is the noise density of "the velocity is zero".
+const SPEED_S: f32 = 1.0;
+/// Share of the mean squared velocity that adds to the error of this measurement, and its averaging time, s.
+const SPEED_SHARE: f32 = 0.2;
+const MEAN_SPEED_S: f32 = 5.0;
+/// Averaging time of the vertical specific force, s. Over this time a vehicle cannot accelerate down by more than g.
+const FORCE_S: f32 = 2.0;
+/// Smallest mean of the vertical specific force with which a velocity shows a tilt, m/s².
+const MIN_GRAVITY: f32 = 0.3 * STANDARD_GRAVITY;
+/// Time after the first sample over which the specific force sets the tilt again, by its mean, s. One sample may be a
+/// shock: the feet of a vehicle slip in a gust.
+const LEVEL_S: f32 = 0.1;
+/// Time without gravity after which the filter starts level, s.
+const NO_GRAVITY_S: f32 = 1.0;
 
-/// Averaging time of the horizontal and vertical part of the field, s.
-const FIELD_TAU_S: f32 = 20.0;
-/// Minimum age of these means after the first sample, which covers no time, s.
-const MIN_AGE_S: f32 = 1.0e-3;
-/// Largest deviation of the field from its means, as a share of its strength.
-const FIELD_TOLERANCE: f32 = 0.1;
-/// Time after which a deviating field is accepted as the new one, s.
-const NEW_FIELD_S: f32 = 60.0;
-/// Time constant of the estimate of the field of the sensor itself, s, and the smallest rate for the estimate, rad/s
-/// (23 °/s): without rotation this field cannot be distinguished from the field of the world.
-const OFFSET_TAU_S: f32 = 20.0;
+/// Shortest time of a cycle of the covariance, s, and the number of its parts: three of the prediction, two
+/// velocities, three biases at rest, heading.
+const CYCLE_S: f32 = 0.02;
+const PARTS: u32 = 9;
+/// Rate above which the field of the sensor is estimated, rad/s (23 °/s): without rotation it cannot be distinguished
+/// from the field of the world.
 const OFFSET_RATE: f32 = 0.4;
-/// Largest estimate per axis, µT: a fifth of the Earth's field. A larger offset needs a calibration.
-const MAX_OFFSET: f32 = 10.0;
 
-/// The time constants of [`RobustFilter`]. Its other constants are properties of sensors and of the Earth's field.
+/// The parameters of [`RobustFilter`] that depend on the vehicle and its place. Its other constants are properties of
+/// sensors and of the Earth's field.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct RobustParams {
-    /// Time constant τ of the tilt, s: 0.1 to 100. The gyroscope dominates above 1/(√2 π τ) Hz, the accelerometer
-    /// below. With steps longer than τ the correction overshoots.
-    pub tilt_tau_s: f32,
-    /// Time constant τ of the heading, s: 0.1 to 1,000.
-    pub heading_tau_s: f32,
+    /// Standard deviation of the velocity in slow motion, m/s: 0.05 to 50. Faster motion is noticed.
+    pub speed_m_s: f32,
+    /// Noise density of the direction of the field, rad/√Hz: 0.001 to 10.
+    pub heading_noise_rad: f32,
 }
 
 impl RobustParams {
     pub(super) fn settings(&mut self) -> [Setting<'_>; 2] {
         [
-            Setting::new("estimator.tilt_tau_s", &mut self.tilt_tau_s, 0.1, 100.0),
-            Setting::new("estimator.heading_tau_s", &mut self.heading_tau_s, 0.1, 1.0e3),
+            Setting::new("estimator.speed_m_s", &mut self.speed_m_s, 0.05, 50.0),
+            Setting::new("estimator.heading_noise_rad", &mut self.heading_noise_rad, 1.0e-3, 10.0),
         ]
     }
 }
 
-/// The filter: quaternion, tilt error, bias and magnetic field. See the module documentation.
+/// The filter: see the module documentation.
 #[derive(Clone, Copy, Debug)]
 pub struct RobustFilter {
     q: Quaternion<f32>,
+    /// Horizontal velocity north and east, m/s, as far as the specific force tells.
+    velocity: [f32; 2],
+    /// Bias of the gyroscope, rad/s, and its scale error, per axis of the body.
+    bias: Vec3<f32>,
+    scale: Vec3<f32>,
+    covariance: Covariance,
     params: RobustParams,
     declination_rad: f32,
     /// Sine and cosine of the declination.
     declination_sc: (f32, f32),
     detects_rest: bool,
-    tilt_started: bool,
-    /// Time since the first sample, s, counted up to τ.
-    tilt_age_s: f32,
-    /// Low-passed horizontal specific force in world axes, north and east, in g: in the mean the tilt error.
-    tilt_error: [f32; 2],
-    /// World north and east in body axes after the same low-pass: the directions from which a bias enters the tilt
-    /// error.
-    mean_horizontal: [Vec3<f32>; 2],
-    /// Down in body axes, low-passed with the time constant of the heading.
-    mean_down: Vec3<f32>,
-    /// Bias of the gyroscope, rad/s, body axes.
-    bias: Vec3<f32>,
-    /// Variance of the bias per axis, (rad/s)².
-    variance: Vec3<f32>,
+    started: bool,
+    /// Time since the first sample, s: before the start, and counted up to [`FORCE_S`] after it.
+    age_s: f32,
+    /// Low-passed vertical specific force in world axes, m/s².
+    vertical_force: f32,
+    /// Low-passed square of the velocity, m²/s².
+    mean_speed_squared: f32,
+    /// The cycle that collects samples, and the last complete one.
+    collected: Cycle,
+    complete: Cycle,
+    /// The next part of the work on the complete cycle.
+    part: u32,
+    /// Usual time between two samples, s; 0 before the first.
+    usual_dt_s: f32,
     rest: RestDetector,
     magnetic: MagneticField,
+    /// Whether a field has set the heading.
+    heading_set: bool,
+    /// The last field, µT, world axes, and the time since the last one that was used, s.
+    field: Option<Vec3<f32>>,
+    field_dt_s: f32,
+}
+
+/// Sums over the samples of a cycle.
+#[derive(Clone, Copy, Debug, Default)]
+struct Cycle {
+    dt_s: f32,
+    transition: Transition,
+    /// ∫ ω dt, rad, body axes, with its bias.
+    gyro: Vec3<f32>,
+    /// ∫ |ω|² dt, rad²/s.
+    rate_squared: f32,
 }
 
 impl RobustFilter {
     pub(super) fn new(params: RobustParams, declination_rad: f32) -> Self {
-        const FIRST: f32 = FIRST_BIAS * FIRST_BIAS;
         Self {
+            q: Quaternion::IDENTITY,
+            velocity: [0.0; 2],
+            bias: Vec3::ZERO,
+            scale: Vec3::ZERO,
+            covariance: first_covariance(),
             params,
             declination_rad,
             declination_sc: sin_cos(declination_rad),
             detects_rest: true,
-            q: Quaternion::IDENTITY,
-            tilt_started: false,
-            tilt_age_s: 0.0,
-            tilt_error: [0.0; 2],
-            mean_horizontal: [Vec3::ZERO; 2],
-            mean_down: Vec3::ZERO,
-            bias: Vec3::ZERO,
-            variance: vec3(FIRST, FIRST, FIRST),
+            started: false,
+            age_s: 0.0,
+            vertical_force: 0.0,
+            mean_speed_squared: 0.0,
+            collected: Cycle::default(),
+            complete: Cycle::default(),
+            part: PARTS,
+            usual_dt_s: 0.0,
             rest: RestDetector::default(),
             magnetic: MagneticField::default(),
+            heading_set: false,
+            field: None,
+            field_dt_s: 0.0,
         }
     }
 
     /// Sets the attitude to the shortest rotation that brings −f to the vertical.
     #[cold]
-    fn start(&mut self, gyro: Vec3<f32>, f: Vec3<f32>) {
+    fn start(&mut self, gyro: Vec3<f32>, f: Vec3<f32>, dt_s: f32) {
+        if f.dot(f) < MIN_SPECIFIC_FORCE_SQUARED {
+            self.age_s += dt_s;
+            self.started = self.age_s >= NO_GRAVITY_S;
+        } else {
+            self.q = level(f);
+            self.started = true;
+        }
+        if self.started {
+            self.age_s = 0.0;
+            self.rest = RestDetector::from(gyro, f);
+        }
+    }
+
+    /// Turns the attitude by the shortest rotation that brings the mean specific force since the first sample to the
+    /// vertical. The next field sets the heading again.
+    #[cold]
+    fn level_start(&mut self) {
+        let [north, east] = self.velocity;
+        let mean = vec3(north / self.age_s, east / self.age_s, self.vertical_force);
+        if mean.dot(mean) < MIN_SPECIFIC_FORCE_SQUARED {
+            return;
+        }
+        self.q = level(mean) * self.q;
+        self.velocity = [0.0; 2];
+        self.vertical_force = -mean.norm();
+        self.collected = Cycle::default();
+        self.heading_set = false;
+        self.field = None;
+    }
+
+    /// Turns an estimate that is upside down by the shortest rotation to the present specific force, and starts the
+    /// covariance again.
+    #[cold]
+    fn turn_round(&mut self, f: Vec3<f32>) {
         if f.dot(f) < MIN_SPECIFIC_FORCE_SQUARED {
             return;
         }
-        self.rest = RestDetector::from(gyro, f);
-        let down = f * (-1.0 / f.norm());
-        // (1 + cos, sin · axis) is twice the quaternion times the cosine of the half angle. Upside down every
-        // horizontal axis is equivalent.
-        let q = Quaternion::new(1.0 + down.z, down.y, -down.x, 0.0);
-        self.q = if q.norm_squared() > 1.0e-6 { q.normalized() } else { Quaternion::new(0.0, 1.0, 0.0, 0.0) };
-        self.tilt_started = true;
+        let (variance, bias, scale) = (self.covariance, self.bias, self.scale);
+        let Self { params, declination_rad, detects_rest, rest, .. } = *self;
+        *self = Self::new(params, declination_rad);
+        *self = Self { q: level(f), bias, scale, detects_rest, rest, started: true, ..*self };
+        for state in BIAS..STATES {
+            self.covariance.set(state, variance.variance(state));
+        }
     }
 
-    /// Predicts the attitude with the gyroscope, and corrects it by the tilt error.
+    /// Returns whether the sensor is at rest, and the estimated tilt differs from the measured one by more than 30°.
     #[inline(always)]
-    fn update_tilt(&mut self, gyro: Vec3<f32>, accel: Vec3<f32>, dt_s: f32) {
-        let rates = gyro - self.bias;
+    fn contradicts_rest(&self) -> bool {
+        let force = self.rest.mean_accel();
+        let squared = force.dot(force);
+        let along = -force.dot(self.q.down());
+        self.rest.at_rest()
+            && squared > MIN_SPECIFIC_FORCE_SQUARED
+            && (along < 0.0 || along * along < COS_REST_TILT * COS_REST_TILT * squared)
+    }
+
+    /// Starts again from the specific force at rest. A tilt that was wrong by so much has also taught a wrong bias.
+    #[cold]
+    fn start_at_rest(&mut self) {
+        let Self { params, declination_rad, detects_rest, rest, .. } = *self;
+        *self = Self::new(params, declination_rad);
+        *self = Self { q: level(rest.mean_accel()), detects_rest, rest, started: true, ..*self };
+    }
+
+    /// Predicts attitude and velocity, and collects what the covariance needs.
+    #[inline(always)]
+    fn predict(&mut self, gyro: Vec3<f32>, accel: Vec3<f32>, dt_s: f32) {
+        let rates = gyro - self.bias - gyro.scale_by(self.scale);
         self.q = self.q * Quaternion::from_rotation_vector(rates * dt_s);
-        let [now_north, now_east] = horizontal_force(self.q.rotate(accel) * (1.0 / STANDARD_GRAVITY));
+        // One Newton step for 1/√n at n = 1. The rounding of a step leaves n within 1e-6 of 1; the Newton step
+        // squares this error.
+        self.q = self.q.scaled(1.5 - 0.5 * self.q.norm_squared());
+        let rows = self.q.to_matrix().rows;
+        let force = vec3(rows[0].dot(accel), rows[1].dot(accel), rows[2].dot(accel));
+        self.velocity[0] += force.x * dt_s;
+        self.velocity[1] += force.y * dt_s;
 
-        // While the age is less than τ, age²/τ replaces τ. An unknown bias then causes an error of at most a fifth of
-        // the age times the bias, and not of the whole age times the bias; the noise is still averaged over that
-        // time.
-        let tau_s = self.params.tilt_tau_s;
-        let settled = self.tilt_settled();
-        let tau_s = if settled {
-            tau_s
+        let cycle = &mut self.collected;
+        let turned = gyro * dt_s;
+        for (axis, row) in rows.into_iter().enumerate() {
+            cycle.transition.rotation[axis] += row * dt_s;
+            cycle.transition.turned[axis] += row.scale_by(turned);
+        }
+        cycle.transition.speed_change += force * dt_s;
+        cycle.gyro += turned;
+        cycle.rate_squared += rates.dot(rates) * dt_s;
+        cycle.dt_s += dt_s;
+
+        let new = self.age_s < LEVEL_S;
+        self.age_s = min(self.age_s + dt_s, FORCE_S);
+        self.vertical_force += (force.z - self.vertical_force) * (dt_s / self.age_s);
+        if new && self.age_s >= LEVEL_S {
+            self.level_start();
+        }
+        if self.detects_rest {
+            self.rest.update(gyro, accel, dt_s);
+        }
+        if self.vertical_force > 0.0 && self.age_s >= FORCE_S {
+            self.turn_round(accel);
+        }
+    }
+
+    /// Does the parts of a cycle that are due with this sample: one at 1 kHz, all at 50 Hz. A single long step, as after
+    /// lost samples, does not make more of them due.
+    #[inline(always)]
+    fn work(&mut self, dt_s: f32) {
+        if self.part >= PARTS && self.collected.dt_s >= CYCLE_S {
+            if self.contradicts_rest() {
+                self.start_at_rest();
+                return;
+            }
+            self.complete = core::mem::take(&mut self.collected);
+            self.part = 0;
+        }
+        let usual_s = if self.usual_dt_s > 0.0 { self.usual_dt_s } else { dt_s };
+        self.usual_dt_s = usual_s + (min(dt_s, 4.0 * usual_s) - usual_s) * 0.125;
+        let mut due_s = self.usual_dt_s;
+        while self.part < PARTS {
+            self.work_on(self.part);
+            self.part += 1;
+            due_s -= CYCLE_S / PARTS as f32;
+            if due_s <= 0.0 {
+                break;
+            }
+        }
+    }
+
+    #[inline(always)]
+    fn work_on(&mut self, part: u32) {
+        match part {
+            0 => self.covariance.predict_rows(0..BIAS, &self.complete.transition),
+            1 => self.covariance.predict_rows(BIAS..STATES, &self.complete.transition),
+            2 => {
+                self.covariance.predict_columns(&self.complete.transition);
+                self.add_noise();
+            }
+            3 => self.measure_velocity(0),
+            4 => self.measure_velocity(1),
+            5..=7 if self.is_at_bias_rest() => self.measure_bias(part as usize - 5),
+            5..=7 => {}
+            _ => self.measure_heading(),
+        }
+    }
+
+    #[inline(always)]
+    fn add_noise(&mut self) {
+        let Cycle { dt_s, transition, rate_squared, .. } = self.complete;
+        let turn = TURN_NOISE * TURN_NOISE * dt_s + TURN_NOISE_SHARE * TURN_NOISE_SHARE * rate_squared;
+        let walk = BIAS_WALK * BIAS_WALK * dt_s;
+        for axis in 0..3 {
+            self.covariance.add(ATTITUDE + axis, turn, MAX_ATTITUDE * MAX_ATTITUDE);
+            self.covariance.add(BIAS + axis, walk, FIRST_BIAS * FIRST_BIAS);
+        }
+        let change = transition.speed_change;
+        let pushed = FORCE_SHARE * FORCE_SHARE * change.dot(change);
+        for axis in 0..2 {
+            self.covariance.add(VELOCITY + axis, pushed, MAX_VELOCITY * MAX_VELOCITY);
+        }
+    }
+
+    /// Processes "the velocity is zero" along one horizontal axis.
+    fn measure_velocity(&mut self, axis: usize) {
+        if self.vertical_force > -MIN_GRAVITY {
+            // In free fall, or where gravity was removed from the readings, the velocity shows no tilt.
+            self.velocity[axis] = 0.0;
+            self.covariance.set(VELOCITY + axis, FIRST_VELOCITY * FIRST_VELOCITY);
+            return;
+        }
+        let dt_s = self.complete.dt_s;
+        if axis == 0 {
+            let [north, east] = self.velocity;
+            let change = north * north + east * east - self.mean_speed_squared;
+            self.mean_speed_squared += change * (dt_s / (MEAN_SPEED_S + dt_s));
+        }
+        let slow = self.params.speed_m_s;
+        let variance = if self.rest.at_rest() {
+            REST_SPEED * REST_SPEED
         } else {
-            self.tilt_age_s += dt_s;
-            min(tau_s, self.tilt_age_s * self.tilt_age_s / tau_s + 2.0 * dt_s)
+            slow * slow + SPEED_SHARE * self.mean_speed_squared
         };
-        let share = dt_s / (0.5 * tau_s + dt_s);
-        let [north, east] = &mut self.tilt_error;
-        *north += share * (now_north - *north);
-        *east += share * (now_east - *east);
-        // The rotation δ must cancel the tilt error: δ × (0, 0, −1) = (−δ_y, δ_x, 0).
-        let (north, east) = (*north, *east);
-        let [x, y, z] = self.q.to_matrix().rows;
-        let [mean_x, mean_y] = &mut self.mean_horizontal;
-        *mean_x += (x - *mean_x) * share;
-        *mean_y += (y - *mean_y) * share;
-        self.mean_down += (z - self.mean_down) * (dt_s / (self.params.heading_tau_s + dt_s));
-        let (mean_x, mean_y) = (*mean_x, *mean_y);
-        let share = dt_s / tau_s;
-        self.q = self.q * Quaternion::from_rotation_vector(y * (share * north) - x * (share * east));
-
-        self.variance += vec3(1.0, 1.0, 1.0) * (BIAS_WALK * BIAS_WALK * dt_s);
-        if self.detects_rest && self.rest.update(gyro, accel, dt_s) {
-            self.learn_at_rest(rates, dt_s);
-        } else if settled && north * north + east * east < MAX_BIAS_TILT_ERROR * MAX_BIAS_TILT_ERROR {
-            let correction = mean_y * (share * north) - mean_x * (share * east);
-            self.learn(correction, mean_x.scale_by(mean_x) + mean_y.scale_by(mean_y), dt_s);
-        }
+        self.correct(VELOCITY + axis, -self.velocity[axis], variance * (2.0 * SPEED_S / dt_s));
     }
 
-    #[inline(always)]
-    fn tilt_settled(&self) -> bool {
-        self.tilt_age_s >= self.params.tilt_tau_s
+    /// Returns whether the sensor is at rest, and its rate not a slow turn.
+    fn is_at_bias_rest(&self) -> bool {
+        let change = self.rest.mean_gyro() - self.bias;
+        let known = |axis: usize| self.covariance.variance(BIAS + axis);
+        self.rest.at_rest()
+            && change.dot(change)
+                <= REST_BIAS_CHANGE * REST_BIAS_CHANGE + 9.0 * (known(0) + known(1) + known(2))
     }
 
-    /// Updates the bias at rest, where the gyroscope measures it directly.
-    fn learn_at_rest(&mut self, rates: Vec3<f32>, dt_s: f32) {
-        let change = self.rest.slow_gyro - self.bias;
-        let Vec3 { x, y, z } = self.variance;
-        if change.dot(change) > REST_BIAS_CHANGE * REST_BIAS_CHANGE + 9.0 * (x + y + z) {
-            return;
-        }
-        let noise = REST_NOISE * REST_NOISE / dt_s;
-        let gain = |p: f32| p / (p + noise);
-        let gains = vec3(gain(x), gain(y), gain(z));
-        self.set_bias(self.bias + rates.scale_by(gains));
-        self.variance = self.variance.scale_by(vec3(1.0, 1.0, 1.0) - gains);
+    /// Measures the bias about one axis by the gyroscope at rest.
+    fn measure_bias(&mut self, axis: usize) {
+        let Cycle { dt_s, gyro, .. } = self.complete;
+        let off = gyro * (1.0 / dt_s) - self.bias;
+        let off = <[f32; 3]>::from(off)[axis];
+        self.correct(BIAS + axis, off, REST_NOISE * REST_NOISE / dt_s);
     }
 
-    /// Updates the bias with a share of `correction` (rad, body axes), which was needed after `dt_s` (s): the
-    /// correction cancels the rotation that the bias has caused. `observed` is the squared component of each axis in
-    /// the observed directions.
-    #[inline(always)]
-    fn learn(&mut self, correction: Vec3<f32>, observed: Vec3<f32>, dt_s: f32) {
-        const INFORMATION: f32 = 1.0 / (MOVING_NOISE * MOVING_NOISE);
-        let max_gain = MAX_LEARNING / self.params.tilt_tau_s;
-        let Vec3 { x, y, z } = self.variance;
-        let gain = |p: f32| min(p * INFORMATION, max_gain);
-        self.set_bias(self.bias - correction.scale_by(vec3(gain(x), gain(y), gain(z))));
-        // P is limited to its value at the start.
-        let reduced = |p: f32, observed: f32| {
-            min(p / (1.0 + p * observed * (INFORMATION * dt_s)), FIRST_BIAS * FIRST_BIAS)
+    /// Corrects all states by the measurement of one: `off` is what the measurement adds to its present value.
+    #[inline(never)]
+    fn correct(&mut self, state: usize, off: f32, noise: f32) {
+        let gains = self.covariance.correct(state, noise);
+        let change = |state: usize| gains[state] * off;
+        let changes = |first: usize| vec3(change(first), change(first + 1), change(first + 2));
+        self.q = Quaternion::from_rotation_vector(changes(ATTITUDE)) * self.q;
+        self.velocity[0] += change(VELOCITY);
+        self.velocity[1] += change(VELOCITY + 1);
+        let within = |v: Vec3<f32>, limit: f32| {
+            let within = |x: f32| max(min(x, limit), -limit);
+            vec3(within(v.x), within(v.y), within(v.z))
         };
-        self.variance = vec3(reduced(x, observed.x), reduced(y, observed.y), reduced(z, observed.z));
+        self.bias = within(self.bias + changes(BIAS), MAX_BIAS);
+        self.scale = within(self.scale + changes(SCALE), 4.0 * FIRST_SCALE);
     }
 
+    /// Takes a sample of the magnetometer. The first one sets the heading.
     #[inline(always)]
-    fn set_bias(&mut self, bias: Vec3<f32>) {
-        let within = |b: f32| max(min(b, MAX_BIAS), -MAX_BIAS);
-        self.bias = vec3(within(bias.x), within(bias.y), within(bias.z));
-    }
-
-    /// Corrects the heading about the vertical so that the horizontal field points to magnetic north. Makes no
-    /// correction if strength and dip of the field differ too much from their means: see [`FIELD_TOLERANCE`].
-    #[inline(always)]
-    fn correct_heading(&mut self, gyro: Vec3<f32>, m: Vec3<f32>) {
+    fn take_field(&mut self, m: Vec3<f32>) {
         let field = self.q.rotate(m - self.magnetic.offset);
-        let dt_s = core::mem::take(&mut self.magnetic.mag_dt_s);
-        let level_squared = field.x * field.x + field.y * field.y;
-        if level_squared < MIN_HORIZONTAL_FIELD_SQUARED {
-            return;
+        self.field = Some(field);
+        if !self.heading_set && field.x * field.x + field.y * field.y >= MIN_HORIZONTAL_FIELD_SQUARED {
+            self.set_heading(field);
         }
-        // While the tilt settles, its changes alter the parts of the field: this is no disturbance.
-        let tolerance = if self.tilt_settled() { FIELD_TOLERANCE } else { f32::INFINITY };
-        let Some((level_deviation, vertical_deviation)) =
-            self.magnetic.deviation(sqrt(level_squared), field.z, tolerance, dt_s)
-        else {
+    }
+
+    #[cold]
+    fn set_heading(&mut self, field: Vec3<f32>) {
+        self.turn(-self.heading_error(field));
+        self.heading_set = true;
+        self.covariance.set(ATTITUDE + 2, FIELD_HEADING * FIELD_HEADING);
+        self.field = None;
+        self.field_dt_s = 0.0;
+    }
+
+    /// Turns attitude and velocity about the vertical by an angle, rad.
+    fn turn(&mut self, angle: f32) {
+        self.q = Quaternion::from_rotation_vector(vec3(0.0, 0.0, angle)) * self.q;
+        let (sin, cos) = sin_cos(angle);
+        let [north, east] = self.velocity;
+        self.velocity = [cos * north - sin * east, sin * north + cos * east];
+    }
+
+    /// Returns the angle from north to the horizontal part of a field in world axes, rad.
+    fn heading_error(&self, field: Vec3<f32>) -> f32 {
+        wrap_pi(atan2(field.y, field.x) - self.declination_rad)
+    }
+
+    /// Corrects the heading, so that the horizontal field points to magnetic north, and estimates the field of the
+    /// sensor.
+    fn measure_heading(&mut self) {
+        let Some(field) = self.field.take() else {
             return;
         };
-        let heading_error = wrap_pi(atan2(field.y, field.x) - self.declination_rad);
-        let tau_s = self.params.heading_tau_s;
-        let settled = self.magnetic.heading_age_s >= tau_s;
-        // The first sample sets the heading.
-        let share =
-            if self.magnetic.heading_age_s > 0.0 { dt_s / (self.magnetic.heading_age_s + dt_s) } else { 1.0 };
-        if !settled {
-            self.magnetic.heading_age_s = max(self.magnetic.heading_age_s + dt_s, MIN_AGE_S);
-        }
-        let correction = -share * heading_error;
-        self.q = Quaternion::from_rotation_vector(vec3(0.0, 0.0, correction)) * self.q;
-        if !settled {
+        let dt_s = core::mem::take(&mut self.field_dt_s);
+        let level_squared = field.x * field.x + field.y * field.y;
+        // A measurement of less than a microsecond has a noise close to the largest number.
+        if level_squared < MIN_HORIZONTAL_FIELD_SQUARED || dt_s < 1.0e-6 {
             return;
         }
-        if !self.rest.at_rest() {
-            let d = self.mean_down;
-            self.learn(d * correction, d.scale_by(d), dt_s);
+        let level = sqrt(level_squared);
+        let (weight, [level_off, vertical_off]) =
+            self.magnetic.update(level, field.z, self.age_s < FORCE_S, dt_s);
+        if weight < 1.0e-3 {
+            return;
         }
-        let rates = gyro - self.bias;
-        if rates.dot(rates) > OFFSET_RATE * OFFSET_RATE {
+        let noise = self.params.heading_noise_rad;
+        // A tilt error θ turns the horizontal field by θ tan(dip). It lasts much longer than a cycle, so that it does not
+        // average out.
+        let dip = field.z / level;
+        let tilt = self.covariance.variance(ATTITUDE) + self.covariance.variance(ATTITUDE + 1);
+        let noise = noise * noise / (weight * dt_s) + dip * dip * tilt;
+        self.correct(ATTITUDE + 2, -self.heading_error(field), noise);
+        let turning_squared = self.complete.rate_squared / self.complete.dt_s;
+        if turning_squared > OFFSET_RATE * OFFSET_RATE {
             // The difference between the field and its means, which point to magnetic north.
-            let level = sqrt(level_squared) - level_deviation;
+            let level = level - level_off;
             let (sin, cos) = self.declination_sc;
-            let residual = vec3(field.x - level * cos, field.y - level * sin, vertical_deviation);
-            self.magnetic.learn_offset(self.q.conjugate().rotate(residual), dt_s);
+            let residual = vec3(field.x - level * cos, field.y - level * sin, vertical_off);
+            self.magnetic.learn_offset(self.q.conjugate().rotate(residual), weight * dt_s);
         }
     }
 }
 
 impl Filter for RobustFilter {
-    const IS_LOW_PASS: bool = true;
+    const INPUT: FilterInput = FilterInput::Calibrated;
 
     // Not inlined: inside the step of the flight controller it would cost the other filters registers.
     #[inline(never)]
@@ -328,27 +519,28 @@ impl Filter for RobustFilter {
             return;
         }
         let dt_s = if dt_s > 0.0 { min(dt_s, MAX_DT_S) } else { 0.0 };
-        if !self.tilt_started {
-            self.start(gyro, accel);
+        if !self.started {
+            self.start(gyro, accel, dt_s);
         } else if dt_s > 0.0 {
-            self.update_tilt(gyro, accel, dt_s);
+            self.predict(gyro, accel, dt_s);
         }
-        self.magnetic.mag_dt_s = min(self.magnetic.mag_dt_s + dt_s, MAX_DT_S);
+        self.field_dt_s = min(self.field_dt_s + dt_s, MAX_DT_S);
         match mag {
-            Some(field) if field.dot(field) < MAX_FIELD * MAX_FIELD => self.correct_heading(gyro, field),
+            Some(field) if field.dot(field) < MAX_FIELD * MAX_FIELD && self.started => self.take_field(field),
             _ => {}
         }
-        // One Newton step for 1/√n at n = 1. The rounding of a step leaves n within 1e-6 of 1; the Newton step
-        // squares this error.
-        self.q = self.q.scaled(1.5 - 0.5 * self.q.norm_squared());
+        self.work(dt_s);
     }
 
     fn on_gyro_zeroed(&mut self) {
+        // The standard deviation that the random walk and the noise at rest leave: √(0.17 · 0.005) = 0.03 °/s.
         const ZEROED: f32 = REST_NOISE * BIAS_WALK;
         self.bias = Vec3::ZERO;
-        self.variance = vec3(ZEROED, ZEROED, ZEROED);
+        for axis in 0..3 {
+            self.covariance.set(BIAS + axis, ZEROED);
+        }
         self.detects_rest = false;
-        self.rest.still_s = 0.0;
+        self.rest.interrupt();
     }
 
     fn restart(&mut self) {
@@ -356,7 +548,7 @@ impl Filter for RobustFilter {
     }
 
     fn started(&self) -> bool {
-        self.tilt_started
+        self.started
     }
 
     #[inline(always)]
@@ -375,108 +567,30 @@ impl Filter for RobustFilter {
     }
 }
 
-/// Returns the horizontal part of a specific force in world axes, in g. Free fall gives zero. A force that points
-/// down by more than half a g shows that the estimate is upside down, and gives 1 g in its horizontal direction.
-#[inline(always)]
-fn horizontal_force(f: Vec3<f32>) -> [f32; 2] {
-    let squared = f.x * f.x + f.y * f.y;
-    if f.z > 0.5 {
-        let side = sqrt(squared);
-        return if side > 0.05 { [f.x / side, f.y / side] } else { [1.0, 0.0] };
-    }
-    if squared + f.z * f.z < MIN_SPECIFIC_FORCE_SQUARED / (STANDARD_GRAVITY * STANDARD_GRAVITY) {
-        return [0.0; 2];
-    }
-    [f.x, f.y]
+fn first_covariance() -> Covariance {
+    let first = [
+        FIRST_TILT,
+        FIRST_TILT,
+        FIRST_HEADING,
+        FIRST_VELOCITY,
+        FIRST_VELOCITY,
+        FIRST_BIAS,
+        FIRST_BIAS,
+        FIRST_BIAS,
+        FIRST_SCALE,
+        FIRST_SCALE,
+        FIRST_SCALE,
+    ];
+    Covariance::diagonal(first.map(|deviation| deviation * deviation))
 }
 
-/// Detector of rest, from the readings of the sensor.
-#[derive(Clone, Copy, Debug, Default)]
-struct RestDetector {
-    fast_gyro: Vec3<f32>,
-    fast_accel: Vec3<f32>,
-    slow_gyro: Vec3<f32>,
-    slow_accel: Vec3<f32>,
-    /// Duration of the present rest, s, counted up to [`REST_FOR_S`].
-    still_s: f32,
-}
-
-impl RestDetector {
-    fn from(gyro: Vec3<f32>, accel: Vec3<f32>) -> Self {
-        Self { fast_gyro: gyro, fast_accel: accel, slow_gyro: gyro, slow_accel: accel, still_s: 0.0 }
-    }
-
-    #[inline(always)]
-    fn update(&mut self, gyro: Vec3<f32>, accel: Vec3<f32>, dt_s: f32) -> bool {
-        let (fast, slow) = (dt_s / (REST_FAST_S + dt_s), dt_s / (REST_SLOW_S + dt_s));
-        self.fast_gyro += (gyro - self.fast_gyro) * fast;
-        self.fast_accel += (accel - self.fast_accel) * fast;
-        let gyro_off = self.fast_gyro - self.slow_gyro;
-        let accel_off = self.fast_accel - self.slow_accel;
-        self.slow_gyro += gyro_off * slow;
-        self.slow_accel += accel_off * slow;
-        let still = gyro_off.dot(gyro_off) < REST_RATE * REST_RATE
-            && accel_off.dot(accel_off) < REST_FORCE * REST_FORCE
-            && self.slow_gyro.dot(self.slow_gyro) < MAX_BIAS * MAX_BIAS;
-        self.still_s = if still { min(self.still_s + dt_s, REST_FOR_S) } else { 0.0 };
-        self.at_rest()
-    }
-
-    fn at_rest(&self) -> bool {
-        self.still_s >= REST_FOR_S
-    }
-}
-
-/// Model of the magnetic field: its means, how long it has deviated, and the field of the sensor itself.
-#[derive(Clone, Copy, Debug, Default)]
-struct MagneticField {
-    /// Time since the last sample of the magnetometer, s.
-    mag_dt_s: f32,
-    /// Means of the horizontal and vertical part of the field, µT, and their age, s, counted up to [`FIELD_TAU_S`].
-    level: f32,
-    vertical: f32,
-    mean_s: f32,
-    /// Time for which the field has corrected the heading, s, counted up to the time constant.
-    heading_age_s: f32,
-    /// Time for which the field has deviated, s.
-    deviating_s: f32,
-    /// Field of the sensor itself, µT, body axes.
-    offset: Vec3<f32>,
-}
-
-impl MagneticField {
-    /// Updates the means with the horizontal and vertical part of a field, µT. Returns the deviations from the means,
-    /// µT, or `None` for a field that deviates too much.
-    #[inline(always)]
-    fn deviation(&mut self, level: f32, vertical: f32, tolerance: f32, dt_s: f32) -> Option<(f32, f32)> {
-        let off = (level - self.level, vertical - self.vertical);
-        let strength = self.level * self.level + self.vertical * self.vertical;
-        let deviates = off.0 * off.0 + off.1 * off.1 > tolerance * tolerance * strength;
-        if self.mean_s > 0.0 && deviates {
-            self.deviating_s += dt_s;
-            if self.deviating_s < NEW_FIELD_S {
-                return None;
-            }
-            self.mean_s = 0.0;
-        }
-        self.deviating_s = 0.0;
-        if self.mean_s == 0.0 {
-            (self.level, self.vertical) = (level, vertical);
-        }
-        self.mean_s = min(max(self.mean_s + dt_s, MIN_AGE_S), FIELD_TAU_S);
-        let off = (level - self.level, vertical - self.vertical);
-        let share = min(dt_s / self.mean_s, 1.0);
-        self.level += share * off.0;
-        self.vertical += share * off.1;
-        Some(off)
-    }
-
-    #[inline(always)]
-    fn learn_offset(&mut self, residual: Vec3<f32>, dt_s: f32) {
-        let learnt = self.offset + residual * (dt_s / OFFSET_TAU_S);
-        let within = |o: f32| max(min(o, MAX_OFFSET), -MAX_OFFSET);
-        self.offset = vec3(within(learnt.x), within(learnt.y), within(learnt.z));
-    }
+/// Returns the shortest rotation that brings −f to the vertical.
+fn level(f: Vec3<f32>) -> Quaternion<f32> {
+    let down = f * (-1.0 / f.norm());
+    // (1 + cos, sin · axis) is twice the quaternion times the cosine of the half angle. Upside down every horizontal
+    // axis is equivalent.
+    let q = Quaternion::new(1.0 + down.z, down.y, -down.x, 0.0);
+    if q.norm_squared() > 1.0e-6 { q.normalized() } else { Quaternion::new(0.0, 1.0, 0.0, 0.0) }
 }
 
 #[cfg(all(test, not(miri)))] // thousands of samples through two filters: minutes for each test under Miri

@@ -135,7 +135,9 @@ fn free_fall_and_vertical_field_correct_nothing() {
         for _ in 0..1000 {
             e.update(Vec3::ZERO, vec3(0.01, -0.02, 0.03), Some(vertical), 0.001);
         }
-        assert!(apart(e.attitude(), q) < 1e-5);
+        // The robust filter integrates also such a small force: 0.022 m/s are taken for a tilt of 1.1e-4 rad.
+        let bound = if e.input() == FilterInput::Calibrated { 2e-4 } else { 1e-5 };
+        assert!(apart(e.attitude(), q) < bound, "{e:?}");
     }
 }
 
@@ -290,8 +292,8 @@ fn parameters_outside_their_range_are_rejected() {
     ] {
         assert!(Estimator::new(&EstimatorParams::complementary(Kinematics::Euler, weight)).is_err());
     }
-    for (tilt_tau_s, heading_tau_s) in [(0.0, 9.0), (3.5, f32::NAN)] {
-        let method = Method::Robust(RobustParams { tilt_tau_s, heading_tau_s });
+    for (speed_m_s, heading_noise_rad) in [(0.0, 0.1), (0.3, f32::NAN)] {
+        let method = Method::Robust(RobustParams { speed_m_s, heading_noise_rad });
         assert!(Estimator::new(&EstimatorParams { method, declination_rad: 0.0 }).is_err());
     }
 }
@@ -337,11 +339,6 @@ mod robust {
     use proptest::prelude::*;
 
     const DEGREE: f32 = PI / 180.0;
-    /// τ of the tilt, s.
-    const TAU_S: f32 = match EstimatorParams::ROBUST.method {
-        Method::Robust(RobustParams { tilt_tau_s, .. }) => tilt_tau_s,
-        Method::Complementary { .. } => panic!(),
-    };
 
     fn robust() -> Estimator {
         Estimator::new(&EstimatorParams::ROBUST).unwrap()
@@ -359,6 +356,11 @@ mod robust {
         d.z.clamp(-1.0, 1.0).acos()
     }
 
+    /// Returns the angle between the estimate of down and the truth, rad.
+    fn apart_down(e: &Estimator, q: Quaternion<f32>) -> f32 {
+        e.down().cross(q.down()).norm().atan2(e.down().dot(q.down()))
+    }
+
     #[test]
     #[cfg_attr(miri, ignore = "seconds of rest at many rates")]
     fn first_rest_gives_the_bias_at_any_sample_rate() {
@@ -366,63 +368,68 @@ mod robust {
         for rate_hz in [100.0, 285.7, 1000.0, 8000.0] {
             let mut e = robust();
             rest(&mut e, bias, 1.0, 1.0 / rate_hz);
-            // The bias is not known yet, and the tilt error is that of the last 0.2 s.
+            // Rest is not detected yet. The bias turns the estimate by 3.6° in this second; the velocity that the tilt
+            // integrates to has shown almost half of it.
             assert!(
-                e.gyro_bias() == Vec3::ZERO && tilt(&e) < 0.25 * 3.6 * DEGREE,
-                "{} deg",
+                e.gyro_bias().norm() < 0.1 * DEGREE && tilt(&e) < 0.6 * 3.6 * DEGREE,
+                "{} deg, {e:?}",
                 tilt(&e) / DEGREE
             );
             rest(&mut e, bias, 3.0, 1.0 / rate_hz);
             let off = (e.gyro_bias() - bias).norm() / DEGREE;
-            // The initial deviation is 3 °/s: of an error b, T s of rest leave b/(1 + (3/0.1)² T). Rest is detected
-            // after 1.5 s, so T = 2.5 s: 3.74/2251 = 0.0017 °/s.
-            assert!((off - 0.0017).abs() < 0.0005, "{rate_hz} Hz: {off} °/s");
+            // The initial deviation is 3 °/s: of an error b, T s of rest leave b/(1 + (3/0.17)² T). Rest is detected
+            // after 1.5 s, so T = 2.5 s: 3.74/780 = 0.0048 °/s.
+            assert!((off - 0.0048).abs() < 0.0005, "{rate_hz} Hz: {off} °/s");
             rest(&mut e, bias, 40.0, 1.0 / rate_hz);
             assert!(tilt(&e) < 0.05 * DEGREE && e.heading().abs() < 0.1 * DEGREE, "{rate_hz} Hz: {e:?}");
         }
     }
 
     #[test]
-    #[cfg_attr(miri, ignore = "12,000 steps")]
-    fn bias_step_at_rest_is_followed_with_5_s() {
+    #[cfg_attr(miri, ignore = "57,000 steps")]
+    fn bias_step_at_rest_is_followed_with_34_s() {
         let mut e = robust();
         let step = 0.5 * DEGREE;
-        rest(&mut e, Vec3::ZERO, 60.0, 0.005);
+        rest(&mut e, Vec3::ZERO, 200.0, 0.005);
         for k in 1..=4_u8 {
-            rest(&mut e, vec3(0.0, step, 0.0), 2.5, 0.005);
-            // REST_NOISE/BIAS_WALK = 5 s.
-            let left = 1.0 - e.gyro_bias().y / step;
+            // About the vertical and without a field, so that only the gyroscope shows it.
+            for _ in 0..3400 {
+                e.update(vec3(0.0, 0.0, step), LEVEL, None, 0.005);
+            }
+            // REST_NOISE/BIAS_WALK = 34 s.
+            let left = 1.0 - e.gyro_bias().z / step;
             let expected = (-f64::from(k) * 0.5).exp() as f32;
             assert!((left - expected).abs() < 0.03, "{left} against {expected}");
         }
     }
 
     #[test]
-    #[cfg_attr(miri, ignore = "74,000 steps")]
-    fn bias_in_motion_tilts_by_tau_then_is_learnt() {
+    #[cfg_attr(miri, ignore = "14,000 steps")]
+    fn bias_after_a_zeroing_tilts_by_6_s_then_is_learnt() {
         let mut e = robust();
         rest(&mut e, Vec3::ZERO, 10.0, 0.005);
         e.on_gyro_zeroed();
+        // Seven times the standard deviation after the zeroing, 0.029 °/s.
         let bias = 0.2 * DEGREE;
         let mut worst = 0.0_f32;
         for _ in 0..12_000 {
             rest(&mut e, vec3(bias, 0.0, 0.0), 0.005, 0.005);
             worst = worst.max(tilt(&e));
         }
-        // θ = β τ (1 − e^(−t/τ) cos(t/τ)) has a maximum of 1 + e^(−3π/4)/√2 = 1.067 times β τ; it is slightly lower
-        // because the bias is learnt.
-        assert!(worst > 0.95 * bias * TAU_S && worst < 1.067 * bias * TAU_S, "{} s", worst / bias);
-        rest(&mut e, vec3(bias, 0.0, 0.0), 300.0, 0.005);
-        assert!((e.gyro_bias().x / bias - 1.0).abs() < 0.1, "{}", e.gyro_bias().x / bias);
-        assert!(tilt(&e) < 0.1 * bias * TAU_S);
+        // The double integral of the bias, g b t³/6, reaches the speed of slow motion, 0.3 m/s, after 3.8 s. The
+        // correction needs half as long again: the measured time is 5.9 s.
+        assert!(worst > 5.0 * bias && worst < 6.5 * bias, "{} s", worst / bias);
+        assert!((e.gyro_bias().x / bias - 1.0).abs() < 0.08, "{}", e.gyro_bias().x / bias);
+        // After a minute 6 % of the bias are left.
+        assert!(tilt(&e) < 0.5 * bias, "{} s", tilt(&e) / bias);
     }
 
     #[test]
     #[cfg_attr(miri, ignore = "5,000 steps of each push")]
-    fn push_tilts_by_at_most_0_645_dv_over_g_tau() {
-        // An acceleration a for a time T adds Δv = a T. The bound of the module documentation, 0.645 Δv/(g τ), is
-        // reached for T ≪ τ.
-        for (accel, seconds, min_share) in [(5.0, 0.2, 0.9), (2.0, 1.0, 0.8), (-3.0, 0.5, 0.9)] {
+    fn push_tilts_by_its_speed() {
+        // A speed that lasts is taken for the integral of a tilt, whatever the acceleration was. The measured tilt is
+        // 1.3° for each m/s after a long rest; a complementary filter with τ = 5 s tilts by 1.2°.
+        for (accel, seconds) in [(5.0, 0.2), (2.0, 1.0), (-3.0, 0.5)] {
             let mut e = robust();
             rest(&mut e, Vec3::ZERO, 20.0, 0.002);
             let mut worst = 0.0_f32;
@@ -432,31 +439,25 @@ mod robust {
                 e.update(Vec3::ZERO, LEVEL + vec3(a, 0.0, 0.0), Some(FIELD), 0.002);
                 worst = worst.max(tilt(&e));
             }
-            let bound = 0.645 * (accel * seconds).abs() / (G * TAU_S);
-            // The bound allows 3 % more, because the filter attributes a part to the bias for a while.
-            assert!(
-                worst <= 1.03 * bound && worst > min_share * bound,
-                "{accel} {seconds}: {worst}, {bound}"
-            );
+            let degrees = worst / DEGREE / (accel * seconds).abs();
+            assert!((1.2..1.4).contains(&degrees), "{accel} {seconds}: {degrees} deg for each m/s");
         }
     }
 
     #[test]
     #[cfg_attr(miri, ignore = "5,000 steps")]
     fn opposite_pushes_tilt_by_distance_not_speed() {
-        // 3 m/s² for 0.5 s, then −3 m/s² for 0.5 s: a distance of 0.75 m. For times ≪ τ the slope of the impulse
-        // response counts, at most 2/τ²: 2 · 0.75 m/(g τ²) = 0.35°. A complementary filter with this τ has an error
-        // of 1.7° in between.
+        // 3 m/s² for 0.5 s, then −3 m/s² for 0.5 s: a speed of up to 1.5 m/s, but over 0.75 m only. If the speed
+        // lasted, the tilt would be 1.5°.
         let mut e = robust();
         rest(&mut e, Vec3::ZERO, 20.0, 0.002);
         let mut worst = 0.0_f32;
         for k in 0..5000_u16 {
             let a = [3.0, -3.0, 0.0][usize::from(k / 250).min(2)];
             e.update(Vec3::ZERO, LEVEL + vec3(0.0, a, 0.0), Some(FIELD), 0.002);
-            worst = worst.max(tilt(&e));
+            worst = worst.max(apart(e.attitude(), Quaternion::IDENTITY));
         }
-        let bound = 2.0 * 0.75 / (G * TAU_S * TAU_S);
-        assert!(worst < bound && worst > 0.8 * bound, "{} deg", worst / DEGREE);
+        assert!(worst < 0.05 * DEGREE, "{} deg", worst / DEGREE);
     }
 
     #[test]
@@ -483,12 +484,13 @@ mod robust {
         e.update(Vec3::ZERO, LEVEL + vec3(0.0, 2.0, 0.0), Some(FIELD), 0.0);
         assert!(tilt(&e) > 11.0 * DEGREE);
         rest(&mut e, vec3(0.0, 0.0, 0.02 * DEGREE), 30.0, 0.005);
-        // If the filter had replaced the field, the heading would have drifted by 0.6°.
-        assert!(tilt(&e) < 0.1 * DEGREE && e.heading().abs() < 0.3 * DEGREE, "{e:?}");
+        // The first sample turns the field by 18°. With a first deviation of 10°, 30 s leave a 55th of it, 0.33°; the
+        // bias adds to it. If the filter had replaced the field, the heading would stay wrong by degrees.
+        assert!(tilt(&e) < 0.1 * DEGREE && e.heading().abs() < 0.6 * DEGREE, "{e:?}");
     }
 
     #[test]
-    #[cfg_attr(miri, ignore = "12,000 steps")]
+    #[cfg_attr(miri, ignore = "33,000 steps")]
     fn magnetic_disturbance_is_ignored_for_a_minute() {
         let mut e = robust();
         rest(&mut e, Vec3::ZERO, 30.0, 0.01);
@@ -496,8 +498,11 @@ mod robust {
         for _ in 0..5900 {
             e.update(Vec3::ZERO, LEVEL, Some(disturbed), 0.01);
         }
-        assert!(e.heading().abs() < 1e-4, "{}", e.heading());
-        for _ in 0..6000 {
+        // A deviating field has little weight, not none: 0.6° of the 31° in a minute.
+        assert!(e.heading().abs() < 0.012, "{}", e.heading());
+        // The new place is accepted at once, and its heading with the gain of a filter that has settled: a fifth of
+        // the difference is left after 60 s, a fiftieth after 150 s.
+        for _ in 0..24_000 {
             e.update(Vec3::ZERO, LEVEL, Some(disturbed), 0.01);
         }
         assert!((e.heading() + 15.0_f32.atan2(25.0)).abs() < 0.01, "{}", e.heading());
@@ -574,9 +579,35 @@ mod robust {
             }
         }
 
+        /// An attitude that changes without the gyroscope's notice, by up to 30° of tilt and any heading. The heading
+        /// takes up to 450 s: the first sample may give a wrong field, which is replaced after 60 s, and by then the
+        /// gain of the heading has become small.
         #[test]
-        #[cfg_attr(miri, ignore = "12,000 steps of each case")]
-        fn filter_converges_between_any_two_attitudes(
+        #[cfg_attr(miri, ignore = "22,500 steps of each case")]
+        fn filter_converges_within_its_first_deviation(
+            from in [-PI..PI, -1.5..1.5_f32, -PI..PI], off in [-0.35..0.35_f32, -0.35..0.35_f32], yaw in -PI..PI,
+        ) {
+            let mut e = robust();
+            let first = euler(from[0], from[1], from[2]);
+            let (accel, mag) = at_rest(first);
+            e.update(Vec3::ZERO, accel, Some(mag), 0.0);
+            let q = euler(0.0, 0.0, yaw) * first * euler(off[0], off[1], 0.0);
+            let (accel, mag) = at_rest(q);
+            for _ in 0..1500 {
+                e.update(Vec3::ZERO, accel, Some(mag), 0.02);
+            }
+            prop_assert!(apart_down(&e, q) < 0.5 * DEGREE, "{} deg", apart_down(&e, q) / DEGREE);
+            for _ in 0..21_000 {
+                e.update(Vec3::ZERO, accel, Some(mag), 0.02);
+            }
+            prop_assert!(apart(e.attitude(), q) < 0.5 * DEGREE, "{} deg", apart(e.attitude(), q) / DEGREE);
+        }
+
+        /// A first tilt that is wrong by more may teach a bias beyond what the detection of rest accepts as one. The
+        /// tilt converges all the same, in the end.
+        #[test]
+        #[cfg_attr(miri, ignore = "11,250 steps of each case")]
+        fn tilt_converges_between_any_two_attitudes(
             from in [-PI..PI, -1.5..1.5_f32, -PI..PI], to in [-PI..PI, -1.5..1.5_f32, -PI..PI],
         ) {
             let mut e = robust();
@@ -584,11 +615,10 @@ mod robust {
             e.update(Vec3::ZERO, accel, Some(mag), 0.0);
             let q = euler(to[0], to[1], to[2]);
             let (accel, mag) = at_rest(q);
-            for _ in 0..12_000 {
-                e.update(Vec3::ZERO, accel, Some(mag), 0.01);
+            for _ in 0..11_250 {
+                e.update(Vec3::ZERO, accel, Some(mag), 0.04);
             }
-            // 120 s: the first sample may give a wrong field, which is replaced after 60 s.
-            prop_assert!(apart(e.attitude(), q) < 0.5 * DEGREE, "{} deg", apart(e.attitude(), q) / DEGREE);
+            prop_assert!(apart_down(&e, q) < 0.5 * DEGREE, "{} deg", apart_down(&e, q) / DEGREE);
         }
     }
 }

@@ -253,7 +253,7 @@ fn sensor_is_lost_after_100_ms_and_then_restarts() {
 
         // On the ground the first sample after a loss sets the attitude; without a loss it is one sample in a mean
         // over 2 s.
-        let mut harness = Harness::new(params());
+        let mut harness = Harness::new(Params { estimator: EstimatorParams::FLIGHT, ..params() });
         harness.run(2_000);
         harness.time_us += silent_us;
         harness.controller.step(&Input { imu: Some(tilted), ..harness.input() });

@@ -201,9 +201,11 @@ fn estimator_text(scene: &Scene) -> Markup {
     }
 }
 
-/// Formats a setting: `tilt_tau_s` as "tilt τ = 5 s", `alpha` as "α = 0.97".
+/// Formats a setting: `tau_s` as "τ = 10 s", `speed_m_s` as "speed = 0.3 m/s", `alpha` as "α = 0.97".
 fn setting_text(name: &str, value: f32) -> String {
-    let (name, unit) = name.strip_suffix("_s").map_or((name, ""), |name| (name, " s"));
+    let units = [("_m_s", " m/s"), ("_s", " s"), ("_rad", " rad/√Hz")];
+    let with_unit = units.iter().find_map(|(suffix, unit)| Some((name.strip_suffix(suffix)?, *unit)));
+    let (name, unit) = with_unit.unwrap_or((name, ""));
     let symbols = name.replace("tau", "τ").replace("alpha", "α").replace('_', " ");
     format!("{symbols} = {}", number(f64::from(value), 4, unit))
 }

@@ -1,16 +1,15 @@
 //! The study `estimator`: attitude from all three sensors.
 //!
 //! Every estimator gets the same samples: those of a recording, or those of the sensors in a simulated flight,
-//! calibrated. As in flight, samples pass the scene's prefilter, except for estimators that are low-passes themselves.
-//! As in [`sim_host::estimate`], the estimator `flight` gets a gyroscope zeroed at rest, as before arming; the others
-//! get it as it is.
+//! calibrated, and zeroed at rest as before arming. A second error is that without the zero. As in flight, samples pass
+//! the scene's prefilter, as far as the estimator takes its inputs after it ([`FilterInput`]).
 
 use std::hint::black_box;
 use std::path::Path;
 use std::time::Duration;
 
 use flight_core::calibration::{Calibration, SensorFields, SensorModel};
-use flight_core::estimator::{Estimator, EstimatorParams, Kinematics, Weight};
+use flight_core::estimator::{Estimator, EstimatorParams, FilterInput, Kinematics, Weight};
 use flight_core::geometry::{Quaternion, Vec3, vec3};
 use flight_core::prefilter::{Biquad, Prefilter};
 use nalgebra::{Quaternion as Parts, UnitQuaternion, Vector3};
@@ -82,12 +81,14 @@ fn with_y_and_z_reversed(v: Vec3<f32>) -> Vector3<f32> {
 }
 
 impl Entrant {
-    /// Whether it needs no prefilter: see [`Estimator::is_low_pass`], which is as true of VQF.
-    fn is_low_pass(self) -> bool {
+    /// Which inputs it takes after the prefilter. VQF is a low-pass itself, as `robust` is.
+    fn input(self) -> FilterInput {
         match self {
-            Self::Ours(params) => Estimator::new(&params).is_ok_and(|estimator| estimator.is_low_pass()),
-            Self::Mahony | Self::Madgwick => false,
-            Self::Vqf => true,
+            Self::Ours(params) => {
+                Estimator::new(&params).map_or(FilterInput::Prefiltered, |estimator| estimator.input())
+            }
+            Self::Mahony | Self::Madgwick => FilterInput::Prefiltered,
+            Self::Vqf => FilterInput::Calibrated,
         }
     }
 }
@@ -271,14 +272,16 @@ pub fn study(options: &Options, progress: Progress) -> Result<Study, InputError>
     let default = Scene::load("hover")?.config.params.estimator;
     let mut settings = Vec::new();
     for (n, record) in records.iter().enumerate() {
-        let prefiltered = record.prefiltered.as_deref().unwrap_or(&record.samples);
-        let zeroed = GyroAtRest::learn(prefiltered).zero(prefiltered);
+        let calibrated = &record.samples[..];
+        let prefiltered = record.prefiltered.as_deref().unwrap_or(calibrated);
+        let zero = GyroAtRest::learn(prefiltered);
+        let inputs = |input: FilterInput| match input {
+            FilterInput::Prefiltered => prefiltered.to_vec(),
+            FilterInput::Calibrated => calibrated.to_vec(),
+        };
         for (k, &(name, entrant)) in entrants.iter().enumerate() {
-            let samples = match name {
-                "flight" => &zeroed,
-                _ if entrant.is_low_pass() => &record.samples[..],
-                _ => prefiltered,
-            };
+            let not_zeroed = inputs(entrant.input());
+            let samples = &zero.zero(&not_zeroed)[..];
             let figure = m4::figure(&format!("estimator {name} 9-axis"));
             // Only the first 2,000 samples are timed; the construction of a filter takes hardly any time beside them.
             let few = &samples[..samples.len().min(2000)];
@@ -306,6 +309,10 @@ pub fn study(options: &Options, progress: Progress) -> Result<Study, InputError>
                 host_ns: time.map(|ns| ns / few.len() as f64),
                 m4_instructions: figure.map(|figure| figure.instructions),
                 flash_bytes: figure.and_then(|figure| figure.flash_bytes),
+                also: rmse_deg(entrant, record, &not_zeroed)?
+                    .map(|error| ("not_zeroed_deg", error))
+                    .into_iter()
+                    .collect(),
                 default: matches!(entrant, Entrant::Ours(params) if same(params)),
                 ..Setting::default()
             });
@@ -314,9 +321,8 @@ pub fn study(options: &Options, progress: Progress) -> Result<Study, InputError>
     }
     let mut remarks = vec![
         "More instructions do not always give less error. In free flight the accelerometer shows tilt only through drag. \
-         Estimators that rely on it (both readings of the paper, Mahony and Madgwick with their defaults) are pulled \
-         towards level at any cost in instructions. With τ = 10 s and a gyroscope zeroed at rest, `flight` hardly relies on it; \
-         `robust` averages it in world axes, where the flight's own accelerations cancel."
+         Estimators that rely on it within seconds (both readings of the paper, Mahony with its defaults) are pulled towards \
+         level at any cost in instructions. `robust` integrates it in world axes, where the flight's own accelerations cancel."
             .to_owned(),
         "Bytes of flash of Kestrel's own estimators are those of all presets together: a parameter selects the preset."
             .to_owned(),
@@ -336,8 +342,9 @@ pub fn study(options: &Options, progress: Progress) -> Result<Study, InputError>
         name: "estimator",
         title: "Estimators of attitude",
         about: "The error is that of the complete attitude, RMSE over all samples in motion. All estimators get the same \
-                samples. Those of simulated flights pass the scene's prefilter of 30 Hz, except for `robust` and VQF, which are \
-                low-passes themselves. `flight` gets a gyroscope zeroed at rest, as before arming; the others get it as it is. \
+                samples, from a gyroscope zeroed at rest, as before arming; the second error is that without the zero. Samples of \
+                simulated flights pass the scene's prefilter of 30 Hz as in flight, except for `robust` and VQF, which are low-passes \
+                themselves. \
                 Mahony, Madgwick and VQF are those of the crate uf-ahrs with their default parameters."
             .into(),
         reference: "Recordings: optical motion capture (BROAD). Simulated flights: the simulated truth.".into(),

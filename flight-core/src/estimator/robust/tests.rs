@@ -1,290 +1,61 @@
-//! The filter against a second implementation: in f64, on a rotation matrix instead of a quaternion, corrected in the
-//! world instead of the body, with the inverse of the variances. Also its parts at the ends of their ranges.
+//! The filter against a second implementation (`tests/second.rs`), its parts at the ends of their ranges, and its
+//! accuracy in motion that is known exactly (`tests/motion.rs`).
 
-use super::super::tests::properties::rotation;
+#![allow(clippy::needless_range_loop, reason = "an index stands for a row and for a column")]
+
+mod motion;
+mod second;
+
 use super::*;
 use crate::geometry::Mat3;
+use core::cell::Cell;
 use proptest::num::f32::ANY;
 use proptest::prelude::*;
+use proptest::test_runner::TestRunner;
+use second::{InDouble, RAD, double};
 use std::boxed::Box;
 
-type V = Vec3<f64>;
+const PARAMS: RobustParams = RobustParams { speed_m_s: 0.3, heading_noise_rad: 0.13 };
+const LEVEL: Vec3<f32> = vec3(0.0, 0.0, -9.80665);
+/// A field that points to north and down, µT.
+const FIELD: Vec3<f32> = vec3(25.0, 0.0, 41.0);
 
-fn double(v: Vec3<f32>) -> V {
-    <[f32; 3]>::from(v).map(f64::from).into()
+fn filter() -> RobustFilter {
+    RobustFilter::new(PARAMS, 0.0)
 }
 
-fn each(v: V, f: impl Fn(f64) -> f64) -> V {
-    <[f64; 3]>::from(v).map(f).into()
+/// Updates the filter with constant readings.
+fn hold(
+    filter: &mut RobustFilter,
+    gyro: Vec3<f32>,
+    accel: Vec3<f32>,
+    mag: Option<Vec3<f32>>,
+    dt_s: f32,
+    steps: u32,
+) {
+    for _ in 0..steps {
+        filter.update(gyro, accel, mag, dt_s);
+    }
 }
 
-fn both(a: V, b: V, f: impl Fn(f64, f64) -> f64) -> V {
-    vec3(f(a.x, b.x), f(a.y, b.y), f(a.z, b.z))
-}
+/// Knuth's MMIX generator, for sequences that are too long for a property test.
+struct Random(u64);
 
-/// Updates a first-order low-pass.
-fn follow(mean: &mut V, now: V, share: f64) {
-    *mean = *mean * (1.0 - share) + now * share;
-}
-
-struct InDouble {
-    tilt_tau: f64,
-    heading_tau: f64,
-    declination: f64,
-    detects_rest: bool,
-    /// Body to world; `None` before the start.
-    attitude: Option<Mat3<f64>>,
-    age: f64,
-    tilt_error: [f64; 2],
-    mean_horizontal: [V; 2],
-    mean_down: V,
-    bias: V,
-    variance: V,
-    fast: [V; 2],
-    slow: [V; 2],
-    rest_s: f64,
-    mag_dt: f64,
-    /// Means of the horizontal and vertical part of the field, and their age.
-    field_means: (f64, f64, f64),
-    heading_age: f64,
-    deviating: f64,
-    offset: V,
-    /// Whether a comparison was so close that rounding may change its result.
-    ambiguous: bool,
-}
-
-const G64: f64 = 9.80665;
-const RAD: f64 = core::f64::consts::PI / 180.0;
-
-impl InDouble {
-    fn new(params: RobustParams, declination: f32) -> Self {
-        let zero = V::ZERO;
-        Self {
-            tilt_tau: params.tilt_tau_s.into(),
-            heading_tau: params.heading_tau_s.into(),
-            declination: declination.into(),
-            detects_rest: true,
-            attitude: None,
-            age: 0.0,
-            tilt_error: [0.0; 2],
-            mean_horizontal: [zero; 2],
-            mean_down: zero,
-            bias: zero,
-            variance: each(zero, |_| (3.0 * RAD).powi(2)),
-            fast: [zero; 2],
-            slow: [zero; 2],
-            rest_s: 0.0,
-            mag_dt: 0.0,
-            field_means: (0.0, 0.0, 0.0),
-            heading_age: 0.0,
-            deviating: 0.0,
-            offset: zero,
-            ambiguous: false,
-        }
+impl Random {
+    /// Returns a number from −`size` to `size`.
+    fn within(&mut self, size: f32) -> f32 {
+        self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        // Only the upper half of the bits is random enough.
+        size * (((self.0 >> 32) as f64) / 2_147_483_648.0 - 1.0) as f32
     }
 
-    /// Returns whether a < b, and marks a close comparison as ambiguous.
-    fn below(&mut self, a: f64, b: f64) -> bool {
-        self.ambiguous |= (a - b).abs() < 1e-3 * b.abs() + 1e-7;
-        a < b
+    fn vector(&mut self, size: f32) -> Vec3<f32> {
+        vec3(self.within(size), self.within(size), self.within(size))
     }
 
-    /// Returns whether a limit of time is reached, with the rounding of accumulated times.
-    fn reached(&mut self, time: f64, limit: f64) -> bool {
-        self.ambiguous |= (time - limit).abs() < 1e-5 * limit && time != limit;
-        time >= limit
-    }
-
-    fn update(&mut self, gyro: V, accel: V, mag: Option<V>, dt: f64) {
-        if !(gyro.norm() < 200.0 && accel.norm() < 1000.0) {
-            return;
-        }
-        let dt = if dt > 0.0 { dt.min(1.0) } else { 0.0 };
-        match self.attitude {
-            None => {
-                if !self.below(accel.norm(), 0.1 * G64) {
-                    // The shortest rotation from the measured direction of down to the vertical.
-                    let down = accel * (-1.0 / accel.norm());
-                    let axis = down.cross(Vec3::Z);
-                    self.ambiguous |= axis.norm() < 1e-2;
-                    let angle = axis.norm().atan2(down.z);
-                    self.attitude = Some(rotation(axis * (angle / axis.norm())));
-                    (self.fast, self.slow) = ([gyro, accel], [gyro, accel]);
-                }
-            }
-            Some(attitude) if dt > 0.0 => self.update_tilt(attitude, gyro, accel, dt),
-            Some(_) => {}
-        }
-        self.mag_dt = (self.mag_dt + dt).min(1.0);
-        if let Some(field) = mag.filter(|field| field.norm() < 1e4) {
-            self.correct_heading(gyro, field);
-        }
-    }
-
-    fn update_tilt(&mut self, before: Mat3<f64>, gyro: V, accel: V, dt: f64) {
-        let rates = gyro - self.bias;
-        let attitude = before * rotation(rates * dt);
-        let force = (attitude * accel) * (1.0 / G64);
-        // A force that points down by more than half a g counts as 1 g horizontal; free fall counts as zero.
-        let side = force.x.hypot(force.y);
-        let upside_down = !self.below(force.z, 0.5) && force.z != 0.5;
-        let tilt_error_now = if upside_down {
-            if self.below(side, 0.05) { [1.0, 0.0] } else { [force.x / side, force.y / side] }
-        } else if self.below(force.norm(), 0.1) {
-            [0.0, 0.0]
-        } else {
-            [force.x, force.y]
-        };
-
-        let settled = self.reached(self.age, self.tilt_tau);
-        let tau = if settled {
-            self.tilt_tau
-        } else {
-            self.age += dt;
-            self.tilt_tau.min(self.age.powi(2) / self.tilt_tau + 2.0 * dt)
-        };
-        let share = 2.0 * dt / (tau + 2.0 * dt);
-        let [x, y, z] = attitude.rows;
-        for (tilt_error, now) in self.tilt_error.iter_mut().zip(tilt_error_now) {
-            *tilt_error = *tilt_error * (1.0 - share) + now * share;
-        }
-        follow(&mut self.mean_horizontal[0], x, share);
-        follow(&mut self.mean_horizontal[1], y, share);
-        follow(&mut self.mean_down, z, dt / (self.heading_tau + dt));
-        let [north, east] = self.tilt_error.map(|tilt_error| tilt_error * dt / tau);
-        // In world axes a tilt error to the north is corrected by a rotation about east, and so on.
-        self.attitude = Some(rotation(vec3(-east, north, 0.0)) * attitude);
-
-        self.variance = each(self.variance, |p| p + (0.02 * RAD).powi(2) * dt);
-        if self.detects_rest && self.is_at_rest(gyro, accel, dt) {
-            let change = self.slow[0] - self.bias;
-            let known = (1.0 * RAD).powi(2) + 9.0 * (self.variance.x + self.variance.y + self.variance.z);
-            if self.below(known, change.dot(change)) {
-                return;
-            }
-            // 1/P increases by the information of `dt` of rest, and the estimate moves by the same share.
-            let information = dt / (0.1 * RAD).powi(2);
-            let reduced = each(self.variance, |p| 1.0 / (1.0 / p + information));
-            let gain = both(reduced, self.variance, |new, old| 1.0 - new / old);
-            self.set_bias(self.bias + both(gain, rates, |gain, rate| gain * rate));
-            self.variance = reduced;
-        } else {
-            let tilt_error = self.tilt_error[0].hypot(self.tilt_error[1]);
-            if settled && self.below(tilt_error, 0.3) {
-                let correction = self.mean_horizontal[1] * north - self.mean_horizontal[0] * east;
-                let observed = both(self.mean_horizontal[0], self.mean_horizontal[1], |x, y| x * x + y * y);
-                self.learn(correction, observed, dt);
-            }
-        }
-    }
-
-    fn is_at_rest(&mut self, gyro: V, accel: V, dt: f64) -> bool {
-        let [fast, slow] = [0.02, 0.5].map(|tau| dt / (tau + dt));
-        let mut off = [0.0; 2];
-        for (sensor, now) in [gyro, accel].into_iter().enumerate() {
-            follow(&mut self.fast[sensor], now, fast);
-            let from = self.fast[sensor] - self.slow[sensor];
-            off[sensor] = from.norm();
-            self.slow[sensor] += from * slow;
-        }
-        let steady = self.below(off[0], 2.0 * RAD) & self.below(off[1], 0.2);
-        let slow_turn = self.slow[0].norm();
-        let still = steady & self.below(slow_turn, 0.35);
-        self.rest_s = if still { (self.rest_s + dt).min(1.5) } else { 0.0 };
-        self.reached(self.rest_s, 1.5)
-    }
-
-    fn learn(&mut self, correction: V, observed: V, dt: f64) {
-        let information = 1.0 / (0.5 * RAD).powi(2);
-        let max_gain = 0.35 / self.tilt_tau;
-        let moved =
-            both(self.variance, correction, |p, correction| (p * information).min(max_gain) * correction);
-        self.set_bias(self.bias - moved);
-        self.variance = both(self.variance, observed, |p, observed| {
-            (1.0 / (1.0 / p + observed * information * dt)).min((3.0 * RAD).powi(2))
-        });
-    }
-
-    fn set_bias(&mut self, bias: V) {
-        self.bias = each(bias, |b| b.clamp(-0.35, 0.35));
-    }
-
-    fn correct_heading(&mut self, gyro: V, mag: V) {
-        // Before the start the attitude is level and points north.
-        let attitude = self.attitude.unwrap_or(Mat3::IDENTITY);
-        let field = attitude * (mag - self.offset);
-        let dt = core::mem::take(&mut self.mag_dt);
-        let level = field.x.hypot(field.y);
-        if self.below(level, 1.0) {
-            return;
-        }
-        let tilt_settled = self.reached(self.age, self.tilt_tau);
-        let Some((level_deviation, vertical_deviation)) = self.deviation(level, field.z, tilt_settled, dt)
-        else {
-            return;
-        };
-        let direction = field.y.atan2(field.x) - self.declination;
-        let turns = direction / (2.0 * core::f64::consts::PI);
-        self.ambiguous |= (turns.fract().abs() - 0.5).abs() < 1e-3;
-        let heading_error = 2.0 * core::f64::consts::PI * (turns - turns.round());
-        let settled = self.reached(self.heading_age, self.heading_tau);
-        let share = if self.heading_age > 0.0 { dt / (self.heading_age + dt) } else { 1.0 };
-        if !settled {
-            self.heading_age = (self.heading_age + dt).max(1e-3);
-        }
-        let turned = rotation(vec3(0.0, 0.0, -share * heading_error)) * attitude;
-        if self.attitude.is_some() {
-            self.attitude = Some(turned);
-        } else {
-            // A field before the first specific force: the second filter does not model its effect on the start.
-            self.ambiguous = true;
-        }
-        if !settled {
-            return;
-        }
-        let at_rest = self.reached(self.rest_s, 1.5);
-        if !at_rest {
-            let down = self.mean_down;
-            self.learn(down * (-share * heading_error), both(down, down, |a, b| a * b), dt);
-        }
-        let turning = (gyro - self.bias).norm();
-        if !self.below(turning, 0.4) {
-            // The difference to the mean horizontal field, which points to magnetic north.
-            let usual = level - level_deviation;
-            let (sin, cos) = self.declination.sin_cos();
-            let residual = vec3(field.x - usual * cos, field.y - usual * sin, vertical_deviation);
-            let learnt = self.offset + turned.transpose() * residual * (dt / 20.0);
-            self.offset = each(learnt, |o| o.clamp(-10.0, 10.0));
-        }
-    }
-
-    fn deviation(&mut self, level: f64, vertical: f64, tilt_settled: bool, dt: f64) -> Option<(f64, f64)> {
-        let (mean_level, mean_vertical, over) = self.field_means;
-        let off = (level - mean_level).hypot(vertical - mean_vertical);
-        let usual = 0.1 * mean_level.hypot(mean_vertical);
-        let mut over = over;
-        if tilt_settled && over > 0.0 && !self.below(off, usual) {
-            self.deviating += dt;
-            if !self.reached(self.deviating, 60.0) {
-                return None;
-            }
-            over = 0.0;
-        }
-        self.deviating = 0.0;
-        let (mean_level, mean_vertical) =
-            if over == 0.0 { (level, vertical) } else { (mean_level, mean_vertical) };
-        let over = (over + dt).clamp(1e-3, 20.0);
-        let share = (dt / over).min(1.0);
-        let off = (level - mean_level, vertical - mean_vertical);
-        self.field_means = (mean_level + share * off.0, mean_vertical + share * off.1, over);
-        Some(off)
-    }
-
-    fn on_gyro_zeroed(&mut self) {
-        self.bias = V::ZERO;
-        self.variance = each(V::ZERO, |_| 0.1 * RAD * (0.02 * RAD));
-        self.detects_rest = false;
-        self.rest_s = 0.0;
+    fn one_of<T: Copy>(&mut self, choices: &[T]) -> T {
+        let share = 0.5 + 0.5 * f64::from(self.within(1.0));
+        choices[((share * choices.len() as f64) as usize).min(choices.len() - 1)]
     }
 }
 
@@ -305,11 +76,14 @@ fn about(size: f32) -> impl Strategy<Value = Vec3<f32>> {
 }
 
 fn phase() -> impl Strategy<Value = Phase> {
-    let level = Just(vec3(0.0, 0.0, -9.8_f32));
-    let near_level = about(3.0).prop_map(|off| off + vec3(0.0, 0.0, -9.8));
+    let near_level = about(3.0).prop_map(|off| off + LEVEL);
+    let upside_down = about(3.0).prop_map(|off| off - LEVEL);
     let gyro =
         prop_oneof![3 => about(0.03), 2 => about(1.0), 1 => about(6.0), 1 => Just(vec3(250.0, 0.0, 0.0))];
-    let accel = prop_oneof![3 => level, 4 => near_level, 1 => about(15.0), 1 => about(0.3), 1 => Just(vec3(0.0, 0.0, 2.0e3))];
+    let accel = prop_oneof![
+        3 => Just(LEVEL), 4 => near_level, 1 => upside_down, 1 => about(15.0), 1 => about(0.3),
+        1 => Just(vec3(0.0, 0.0, 2.0e3))
+    ];
     let field = about(8.0).prop_map(|off| off + vec3(20.0, 10.0, 30.0));
     let field = prop_oneof![4 => field, 1 => about(50.0), 1 => Just(vec3(0.0, 2.0e4, 0.0))];
     let mag = prop::option::weighted(0.85, field);
@@ -318,13 +92,13 @@ fn phase() -> impl Strategy<Value = Phase> {
         prop_oneof![Just(0.0_f32), Just(0.05), Just(2.0)],
     );
     let dt_s = prop_oneof![
-        Just(0.0053_f32),
-        Just(0.0207),
-        0.001..0.1_f32,
-        Just(0.47),
-        Just(0.0),
-        Just(-0.5),
-        Just(3.0)
+        2 => Just(0.0053_f32),
+        2 => Just(0.0207),
+        2 => 0.001..0.1_f32,
+        1 => Just(0.47),
+        1 => Just(0.0),
+        1 => Just(-0.5),
+        1 => Just(3.0)
     ];
     (gyro, accel, mag, noise, dt_s, 1..150_usize).prop_map(|(gyro, accel, mag, noise, dt_s, steps)| Phase {
         gyro,
@@ -336,77 +110,119 @@ fn phase() -> impl Strategy<Value = Phase> {
     })
 }
 
+/// Returns whether the filter is inside of the prediction: its matrix is half multiplied.
+fn predicting(filter: &RobustFilter) -> bool {
+    (1..=2).contains(&filter.part)
+}
+
 /// Returns the differences between the two filters, each with its bound.
-fn differences(ours: &RobustFilter, second: &InDouble) -> [(&'static str, f64, f64); 7] {
+fn differences(ours: &RobustFilter, second: &InDouble) -> [(&'static str, f64, f64); 8] {
     let matrix = ours.q.to_matrix().rows.map(double);
     let theirs = second.attitude.unwrap_or(Mat3::IDENTITY).rows;
     let attitude = matrix.iter().zip(theirs).map(|(a, b)| (*a - b).norm()).fold(0.0, f64::max);
-    let relative = both(double(ours.variance), second.variance, |a, b| (a / b - 1.0).abs());
-    let tilt_error = [0, 1].map(|axis| (f64::from(ours.tilt_error[axis]) - second.tilt_error[axis]).abs());
-    let field_means = (f64::from(ours.magnetic.level) - second.field_means.0).abs()
-        + (f64::from(ours.magnetic.vertical) - second.field_means.1).abs();
+    let speed = second.velocity[0].hypot(second.velocity[1]);
+    let velocity = [0, 1].map(|axis| (f64::from(ours.velocity[axis]) - second.velocity[axis]).abs());
+    let [level, vertical, deviating] = ours.magnetic.means().map(f64::from);
+    let field_means = (level - second.field_means[0]).abs() + (vertical - second.field_means[1]).abs();
+    // Of all covariances, as a share of the standard deviations.
+    let p = ours.covariance.matrix();
+    let mut covariance = 0.0_f64;
+    for (row, theirs) in second.p.iter().enumerate() {
+        for (column, exact) in theirs.iter().enumerate().filter(|_| !predicting(ours)) {
+            let size = (second.p[row][row] * second.p[column][column]).sqrt();
+            covariance = covariance.max((f64::from(p[row][column]) - exact).abs() / size);
+        }
+    }
     [
         ("attitude", attitude, 1e-3),
-        ("tilt error", tilt_error[0] + tilt_error[1], 1e-3),
+        ("velocity", velocity[0].max(velocity[1]), 3e-3 + 3e-4 * speed),
         ("bias", (double(ours.bias) - second.bias).norm(), 1e-4),
-        ("variance", relative.x.max(relative.y).max(relative.z), 3e-3),
+        ("scale", (double(ours.scale) - second.scale).norm(), 1e-4),
+        ("covariance", covariance, 1e-2),
         ("offset", (double(ours.magnetic.offset) - second.offset).norm(), 3e-3),
         ("field means", field_means, 2e-2),
-        ("deviating", (f64::from(ours.magnetic.deviating_s) - second.deviating).abs(), 1e-3),
+        ("deviating", (deviating - second.deviating).abs(), 1e-3),
     ]
 }
 
-proptest! {
-    #[test]
-    fn filter_equals_a_second_one_in_f64(
-        tilt_tau_s in prop_oneof![2 => 0.1..1.0_f32, 1 => 0.1..100.0_f32],
-        heading_tau_s in prop_oneof![2 => 0.1..1.0_f32, 1 => 0.1..1000.0_f32],
-        declination in -3.0..3.0_f32,
-        start in about(6.0),
-        phases in prop::collection::vec(phase(), 1..6),
-        zeroed_before in 0..12_usize,
-    ) {
-        let params = RobustParams { tilt_tau_s, heading_tau_s };
-        let mut ours = RobustFilter::new(params, declination);
-        let mut second = Box::new(InDouble::new(params, declination));
-        let start = start + vec3(0.0, 0.0, -9.8);
-        ours.update(Vec3::ZERO, start, None, 0.0);
-        second.update(V::ZERO, double(start), None, 0.0);
-        for (index, phase) in phases.iter().enumerate() {
-            // With a step longer than τ the correction overshoots, and rounding errors grow from step to step.
-            let dt_s = phase.dt_s.min(if tilt_tau_s < 2.0 { 0.5 * tilt_tau_s } else { 10.0 });
-            if index == zeroed_before {
-                ours.on_gyro_zeroed();
-                second.on_gyro_zeroed();
-            }
-            for step in 0..phase.steps {
-                let sign = if step % 2 == 0 { 1.0 } else { -1.0 };
-                let mut noise = [0.0; 3];
-                noise[step % 3] = sign;
-                let noise = Vec3::from(noise);
-                let (gyro, accel) = (phase.gyro + noise * phase.noise.0, phase.accel + noise * phase.noise.1);
-                ours.update(gyro, accel, phase.mag, dt_s);
-                second.update(double(gyro), double(accel), phase.mag.map(double), dt_s.into());
-                if second.ambiguous {
-                    return Ok(());
+/// Compares the two filters over random phases. A case ends where rounding decides a comparison; most do not.
+#[test]
+fn filter_equals_a_second_one_in_f64() {
+    let strategy = (
+        prop_oneof![2 => 0.1..1.0_f32, 1 => 0.05..50.0_f32],
+        prop_oneof![2 => 0.01..1.0_f32, 1 => 0.001..10.0_f32],
+        -3.0..3.0_f32,
+        prop_oneof![6 => about(6.0).prop_map(|off| off + LEVEL), 1 => about(0.3)],
+        prop::collection::vec(phase(), 1..6),
+        0..12_usize,
+    );
+    let (cases, left_out) = (Cell::new(0), Cell::new(0));
+    let worst = [const { Cell::new(0.0_f64) }; 8];
+    let mut runner = TestRunner::new(ProptestConfig::with_source_file(file!()));
+    let result =
+        runner.run(&strategy, |(speed_m_s, heading_noise_rad, declination, start, phases, zeroed_before)| {
+            let params = RobustParams { speed_m_s, heading_noise_rad };
+            let mut ours = RobustFilter::new(params, declination);
+            let mut second = Box::new(InDouble::new(params, declination));
+            cases.set(cases.get() + 1);
+            ours.update(Vec3::ZERO, start, None, 0.0);
+            second.update(Vec3::ZERO, double(start), None, 0.0);
+            for (index, phase) in phases.iter().enumerate() {
+                if index == zeroed_before {
+                    ours.on_gyro_zeroed();
+                    second.on_gyro_zeroed();
                 }
-                for (what, off, bound) in differences(&ours, &second) {
-                    prop_assert!(off <= bound, "{} differs by {} in step {} of {:?}", what, off, step, phase);
+                for step in 0..phase.steps {
+                    let sign = if step % 2 == 0 { 1.0 } else { -1.0 };
+                    let mut noise = [0.0; 3];
+                    noise[step % 3] = sign;
+                    let noise = Vec3::from(noise);
+                    let (gyro, accel) =
+                        (phase.gyro + noise * phase.noise.0, phase.accel + noise * phase.noise.1);
+                    ours.update(gyro, accel, phase.mag, phase.dt_s);
+                    second.update(double(gyro), double(accel), phase.mag.map(double), phase.dt_s.into());
+                    if second.ambiguous {
+                        left_out.set(left_out.get() + 1);
+                        return Ok(());
+                    }
+                    for ((what, off, bound), worst) in differences(&ours, &second).into_iter().zip(&worst) {
+                        // With steps of half a second to a second, corrections of up to 1 rad amplify rounding: in one case
+                        // of a thousand the differences reach three times the bound of shorter steps.
+                        let bound =
+                            if phases.iter().any(|phase| phase.dt_s > 0.1) { 10.0 * bound } else { bound };
+                        worst.set(worst.get().max(off / bound));
+                        prop_assert!(
+                            off <= bound,
+                            "{} differs by {} in step {} of {:?}",
+                            what,
+                            off,
+                            step,
+                            phase
+                        );
+                    }
+                    prop_assert_eq!(ours.started(), second.attitude.is_some());
                 }
-                prop_assert_eq!(ours.started(), second.attitude.is_some());
             }
-        }
+            Ok(())
+        });
+    std::println!(
+        "{} of {} cases left out; differences as a share of their bounds {worst:?}",
+        left_out.get(),
+        cases.get()
+    );
+    if let Err(error) = result {
+        panic!("{error}\n{runner}");
     }
+    assert!(4 * left_out.get() <= cases.get(), "{} of {} cases left out", left_out.get(), cases.get());
+}
 
+proptest! {
     /// After a restart a filter is equal to a new one, after any samples.
     #[test]
     fn restart_equals_a_new_filter(phases in prop::collection::vec(phase(), 1..3), odd in [ANY, ANY, ANY]) {
-        let params = RobustParams { tilt_tau_s: 0.5, heading_tau_s: 0.7 };
-        let [mut used, mut fresh] = [RobustFilter::new(params, 0.3); 2];
+        let [mut used, mut fresh] = [RobustFilter::new(PARAMS, 0.3); 2];
         for Phase { gyro, accel, mag, dt_s, .. } in &phases {
-            for _ in 0..50 {
-                used.update(*gyro, *accel, *mag, *dt_s);
-            }
+            hold(&mut used, *gyro, *accel, *mag, *dt_s, 50);
         }
         used.update(odd.into(), odd.into(), Some(odd.into()), odd[0]);
         used.on_gyro_zeroed();
@@ -421,64 +237,269 @@ proptest! {
     }
 }
 
+/// Returns the smallest pivot of Cholesky's decomposition of the correlations, or `None` if the matrix is not
+/// symmetric, or has a variance that is not positive or above its limit.
+fn smallest_pivot(filter: &RobustFilter) -> Option<f64> {
+    let p = filter.covariance.matrix();
+    let deviation: [f64; STATES] = core::array::from_fn(|state| f64::from(p[state][state]).sqrt());
+    let mut factor = [[0.0; STATES]; STATES];
+    let mut smallest = f64::INFINITY;
+    let (attitude, velocity, bias, scale) = (60.0 * RAD, 100.0, 3.0 * RAD, 0.005);
+    let limits = [attitude, attitude, attitude, velocity, velocity, bias, bias, bias, scale, scale, scale];
+    for row in 0..STATES {
+        // 1 %: predictions inside a cycle add to a variance before the next limit.
+        if !(deviation[row] > 0.0 && deviation[row] <= 1.01 * limits[row]) {
+            return None;
+        }
+        for column in 0..=row {
+            if p[row][column] != p[column][row] {
+                return None;
+            }
+            let correlation = f64::from(p[row][column]) / (deviation[row] * deviation[column]);
+            let known: f64 = (0..column).map(|k| factor[row][k] * factor[column][k]).sum();
+            if row == column {
+                // Rounding may leave a pivot slightly below zero.
+                smallest = smallest.min(correlation - known);
+                factor[row][row] = (correlation - known).max(1e-3).sqrt();
+            } else {
+                factor[row][column] = (correlation - known) / factor[column][column];
+            }
+        }
+    }
+    Some(smallest)
+}
+
+/// Through 100,000 random samples in phases, with times from none to 3 s, rates of samples from 0.1 Hz to 8 kHz,
+/// readings at their limits and NaN.
+#[test]
+fn covariance_stays_a_covariance() {
+    let mut random = Random(1);
+    for parameters in [(0.05, 0.001), (0.3, 0.13), (50.0, 10.0)] {
+        let params = RobustParams { speed_m_s: parameters.0, heading_noise_rad: parameters.1 };
+        let mut lowest = f64::INFINITY;
+        let mut filter = RobustFilter::new(params, 0.3);
+        for phase in 0..1000 {
+            let dt_s = random.one_of(&[
+                0.000_125,
+                0.001,
+                0.005,
+                0.01,
+                0.02,
+                0.1,
+                1.0,
+                3.0,
+                10.0,
+                0.0,
+                -0.1,
+                f32::NAN,
+            ]);
+            let rate = random.one_of(&[0.0, 0.02, 0.5, 6.0, 35.0, 115.0]);
+            let push = random.one_of(&[0.0, 0.5, 5.0, 50.0, 550.0]);
+            let (rate, push) =
+                (random.vector(rate), random.vector(push) + LEVEL * random.one_of(&[1.0, 1.0, 0.0, -1.0]));
+            let field = random.one_of(&[0.0, 50.0, 5.0e3]);
+            let field = random.vector(field) + FIELD;
+            let noise = random.one_of(&[0.0, 1e-3, 0.1, 1.0]);
+            for step in 0..34 {
+                let odd =
+                    random.one_of(&[1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, f32::NAN]);
+                let noise = random.vector(noise);
+                filter.update(rate + noise * odd, push + noise, Some(field + noise * odd), dt_s);
+                if predicting(&filter) {
+                    continue;
+                }
+                let context = || std::format!("{params:?}, phase {phase}, step {step}, {dt_s} s: {filter:?}");
+                let pivot = smallest_pivot(&filter).unwrap_or_else(|| panic!("{}", context()));
+                lowest = lowest.min(pivot);
+                assert!(pivot > -1e-5, "{pivot}: {}", context());
+                assert!((filter.q.norm_squared() - 1.0).abs() < 1e-5, "{}", context());
+                let [north, east] = filter.velocity;
+                assert!(north.is_finite() && east.is_finite(), "{}", context());
+            }
+        }
+        std::println!("smallest pivot {lowest:e} with {params:?}");
+    }
+}
+
+/// Without a field a bias about the vertical is not observable. Its uncertainty grows by the random walk, after two
+/// hours by √7200 · 0.005 °/s = 0.42 °/s, limited to the uncertainty at the start.
+#[test]
+fn variance_of_an_unobserved_bias_is_bounded() {
+    let mut filter = filter();
+    filter.detects_rest = false;
+    let first = filter.covariance.variance(BIAS + 2);
+    for _ in 0..7200 {
+        filter.update(Vec3::ZERO, LEVEL, None, 1.0);
+        assert!(filter.covariance.variance(BIAS + 2) <= first, "{filter:?}");
+    }
+    assert!(filter.covariance.variance(BIAS + 2) > 0.99 * first, "{filter:?}");
+    assert!(filter.covariance.variance(BIAS) < 0.01 * first, "{filter:?}");
+}
+
 #[test]
 fn start_upside_down_rolls_by_half_a_turn() {
     for off in [Vec3::ZERO, vec3(1e-5, 0.0, 0.0), vec3(0.0, -1e-5, 0.0), vec3(0.02, 0.01, 0.0)] {
-        let mut filter = RobustFilter::new(RobustParams { tilt_tau_s: 5.0, heading_tau_s: 9.0 }, 0.0);
+        let mut filter = filter();
         filter.update(Vec3::ZERO, vec3(0.0, 0.0, 9.8) + off, None, 0.0);
         assert!((filter.down() - vec3(0.0, 0.0, -1.0)).norm() < 3e-3, "{filter:?}");
         assert!((filter.attitude().norm_squared() - 1.0).abs() < 1e-6, "{filter:?}");
     }
 }
 
+/// The mean force over 2 s changes its sign 2 s · ln 2 = 1.39 s after the vehicle was turned without the gyroscope's
+/// notice.
 #[test]
-fn downward_force_counts_as_1_g_horizontal() {
-    assert_eq!(horizontal_force(vec3(0.0, 0.0, 1.0)), [1.0, 0.0]);
-    assert_eq!(horizontal_force(vec3(0.0, 0.6, 0.8)), [0.0, 1.0]);
-    assert_eq!(horizontal_force(vec3(0.3, -0.4, 0.6)), [0.6, -0.8]);
-    // Up to half a g down, and with the right side up, the force is unchanged; free fall gives zero.
-    assert_eq!(horizontal_force(vec3(0.3, -0.4, 0.4)), [0.3, -0.4]);
-    assert_eq!(horizontal_force(vec3(0.3, -0.4, -0.9)), [0.3, -0.4]);
-    assert_eq!(horizontal_force(vec3(0.05, 0.05, -0.05)), [0.0, 0.0]);
-    assert_eq!(horizontal_force(vec3(0.0, 0.11, 0.0)), [0.0, 0.11]);
+fn estimate_upside_down_is_turned_round() {
+    let mut filter = filter();
+    let bias = vec3(0.02, -0.01, 0.03);
+    hold(&mut filter, bias, LEVEL, Some(FIELD), 0.005, 2000);
+    let learnt = filter.gyro_bias();
+    assert!((learnt - bias).norm() < 1e-3, "{filter:?}");
+    // Not quite upside down, so that the turn has one direction.
+    let (accel, mag) = (vec3(0.0, 1.0, 9.75), vec3(25.0, 0.0, -41.0));
+    hold(&mut filter, bias, accel, Some(mag), 0.005, 240);
+    assert!(filter.down().z > 0.5, "too early: {filter:?}");
+    hold(&mut filter, bias, accel, Some(mag), 0.005, 80);
+    let down = accel * (-1.0 / accel.norm());
+    assert!((filter.down() - down).norm() < 0.02, "{filter:?}");
+    // What is known of the gyroscope does not depend on the attitude.
+    assert!((filter.gyro_bias() - learnt).norm() < 0.01, "{filter:?}");
+    assert!(filter.covariance.variance(BIAS) < 0.1 * FIRST_BIAS * FIRST_BIAS, "{filter:?}");
+    hold(&mut filter, bias, accel, Some(mag), 0.005, 2000);
+    assert!((filter.down() - down).norm() < 2e-3, "{filter:?}");
+}
+
+/// The attitude changes by 90° without any rate, as by a lost sample. In motion this teaches a bias; at rest the filter
+/// notices that the tilt is wrong, and starts again without it.
+#[test]
+fn estimate_that_contradicts_rest_starts_again() {
+    let mut filter = filter();
+    hold(&mut filter, Vec3::ZERO, LEVEL, Some(FIELD), 0.005, 400);
+    let (accel, mag) = (vec3(0.0, 9.80665, 0.0), vec3(FIELD.x, -FIELD.z, FIELD.y));
+    hold(&mut filter, Vec3::ZERO, accel, Some(mag), 0.005, 1000);
+    assert!((filter.down() - vec3(0.0, -1.0, 0.0)).norm() < 1e-3, "{filter:?}");
+    assert!(filter.gyro_bias().norm() < 0.1 * DEGREE, "{filter:?}");
 }
 
 /// Above 200 rad/s, 1,000 m/s² and 10,000 µT a reading has no effect; below it has.
 #[test]
 fn readings_beyond_their_limits_are_ignored() {
-    let mut filter = RobustFilter::new(RobustParams { tilt_tau_s: 5.0, heading_tau_s: 9.0 }, 0.0);
-    let (level, north) = (vec3(0.0, 0.0, -9.8), vec3(20.0, 0.0, 40.0));
-    for _ in 0..3 {
-        filter.update(Vec3::ZERO, level, Some(north), 0.001);
-    }
+    let mut filter = filter();
+    let north = vec3(20.0, 0.0, 40.0);
+    hold(&mut filter, Vec3::ZERO, LEVEL, Some(north), 0.001, 3);
+    let state = |filter: &RobustFilter| std::format!("{filter:?}");
     let effect = |gyro: Vec3<f32>, accel: Vec3<f32>, mag: Vec3<f32>| {
-        let mut usual = filter;
-        usual.update(Vec3::ZERO, level, None, 0.001);
-        let mut other = filter;
+        let [mut usual, mut other] = [filter; 2];
+        usual.update(Vec3::ZERO, LEVEL, None, 0.001);
         other.update(gyro, accel, Some(mag), 0.001);
         // An invalid sample does not even advance the time.
-        (other.attitude() != usual.attitude(), std::format!("{other:?}") != std::format!("{filter:?}"))
+        (state(&other) != state(&usual), state(&other) != state(&filter))
     };
-    for (size, valid) in [(0.99, true), (1.01, false)] {
-        let zero = Vec3::ZERO;
-        assert_eq!(effect(vec3(0.0, 0.0, 200.0 * size), level, zero), (valid, valid));
-        assert_eq!(effect(zero, vec3(0.0, 1.0e3 * size, 0.0), zero), (valid, valid));
+    for (size, valid) in [(0.99, true), (1.01, false), (f32::NAN, false), (f32::INFINITY, false)] {
+        assert_eq!(effect(vec3(0.0, 0.0, 200.0 * size), LEVEL, north), (true, valid));
+        assert_eq!(effect(Vec3::ZERO, vec3(0.0, 1.0e3 * size, 0.0), north), (true, valid));
         // Without the field the sample is still valid.
-        assert_eq!(effect(zero, level, vec3(0.0, 1.0e4 * size, 0.0)), (valid, true));
+        assert_eq!(effect(Vec3::ZERO, LEVEL, vec3(0.0, 1.0e4 * size, 0.0)), (valid, true));
     }
 }
 
-/// Without a field a bias about the vertical is not observable. Its uncertainty grows by the random walk, after an
-/// hour by √3600 · 0.02 °/s = 1.2 °/s, limited to the uncertainty at the start.
+/// Phones deliver the acceleration without gravity. The filter then starts level, and its attitude is the integral of
+/// the rates.
 #[test]
-fn variance_of_an_unobserved_bias_is_bounded() {
-    let mut filter = RobustFilter::new(RobustParams { tilt_tau_s: 5.0, heading_tau_s: 9.0 }, 0.0);
-    filter.detects_rest = false;
-    let first = filter.variance.z;
-    for step in 0..3600 {
-        filter.update(Vec3::ZERO, vec3(0.0, 0.0, -9.8), None, 1.0);
-        // During the start, which lasts for τ, the filter does not learn the bias.
-        assert!(step < 6 || filter.variance.z <= first, "{filter:?}");
+fn without_gravity_the_gyroscope_is_integrated() {
+    let mut filter = filter();
+    let rate = vec3(0.3, -0.5, 0.8);
+    hold(&mut filter, rate, Vec3::ZERO, None, 0.005, 199);
+    assert!(!filter.started());
+    hold(&mut filter, rate, Vec3::ZERO, None, 0.005, 2);
+    assert!(filter.started());
+    // The start may fall on either of two samples.
+    let first = filter.attitude().to_matrix().rows.map(double);
+    let start = Mat3 { rows: first };
+    hold(&mut filter, rate, Vec3::ZERO, None, 0.005, 4000);
+    let turned =
+        start * super::super::tests::properties::rotation(double(rate) * (4000.0 * f64::from(0.005_f32)));
+    for (ours, exact) in filter.attitude().to_matrix().rows.map(double).into_iter().zip(turned.rows) {
+        assert!((ours - exact).norm() < 1e-4, "{ours:?} {exact:?}");
     }
-    assert!(filter.variance.z > 0.99 * first && filter.variance.x < 0.01 * first, "{filter:?}");
+    assert!(filter.gyro_bias() == Vec3::ZERO && filter.scale == Vec3::ZERO, "{filter:?}");
+}
+
+/// The caller's zero replaces what the filter knew of the bias, and its detection of rest.
+#[test]
+fn zeroed_gyroscope_has_a_small_bias_and_no_rest() {
+    let mut filter = filter();
+    let bias = vec3(0.02, -0.01, 0.03);
+    hold(&mut filter, bias, LEVEL, None, 0.005, 1000);
+    assert!((filter.gyro_bias() - bias).norm() < 1e-3 && filter.rest.at_rest(), "{filter:?}");
+    filter.on_gyro_zeroed();
+    assert!(filter.gyro_bias() == Vec3::ZERO && !filter.rest.at_rest(), "{filter:?}");
+    let matrix = filter.covariance.matrix();
+    for state in BIAS..SCALE {
+        // √(0.17 °/s/√Hz · 0.005 °/s/√s) = 0.029 °/s.
+        let deviation = f64::from(matrix[state][state]).sqrt() / RAD;
+        assert!((deviation - 0.0292).abs() < 1e-4, "{deviation}");
+        let others = (0..STATES).filter(|&other| other != state);
+        assert!(others.clone().all(|other| matrix[state][other] == 0.0 && matrix[other][state] == 0.0));
+    }
+    // A steady rate about the vertical is now a turn and not a bias.
+    hold(&mut filter, vec3(0.0, 0.0, 0.03), LEVEL, None, 0.005, 2000);
+    assert!(!filter.rest.at_rest() && filter.gyro_bias().norm() < 1e-3, "{filter:?}");
+}
+
+/// A turn of 3 °/s about the vertical is as steady as rest. It is not taken for a bias, because the bias is known.
+#[test]
+fn slow_steady_turn_about_the_vertical_is_no_bias() {
+    let mut filter = filter();
+    hold(&mut filter, Vec3::ZERO, LEVEL, None, 0.005, 4000);
+    hold(&mut filter, vec3(0.0, 0.0, 3.0 * DEGREE), LEVEL, None, 0.005, 4000);
+    assert!(filter.rest.at_rest() && filter.gyro_bias().norm() < 0.01 * DEGREE, "{filter:?}");
+    assert!((filter.heading() - 60.0 * DEGREE).abs() < 0.1 * DEGREE, "{filter:?}");
+}
+
+#[test]
+fn first_field_sets_the_heading() {
+    for (declination, north, east) in
+        [(0.0, 20.0, 0.0), (0.3, 10.0, 17.0), (-0.2, -20.0, 3.0), (3.0, -5.0, -20.0)]
+    {
+        let mut filter = RobustFilter::new(PARAMS, declination);
+        // Fields without a horizontal part set nothing.
+        hold(&mut filter, Vec3::ZERO, LEVEL, Some(vec3(0.5, 0.5, 40.0)), 0.001, 10);
+        assert_eq!((filter.heading_set, filter.heading()), (false, 0.0));
+        filter.update(Vec3::ZERO, LEVEL, Some(vec3(north, east, 40.0)), 0.001);
+        // The body turns to the left of its field by the angle of the field.
+        let heading = wrap_pi(declination - east.atan2(north));
+        assert!(filter.heading_set && wrap_pi(filter.heading() - heading).abs() < 1e-5, "{filter:?}");
+        assert_eq!(filter.covariance.variance(ATTITUDE + 2), FIELD_HEADING * FIELD_HEADING);
+        // The next one only corrects it.
+        filter.update(Vec3::ZERO, LEVEL, Some(vec3(east, north, 40.0)), 0.02);
+        assert!(wrap_pi(filter.heading() - heading).abs() < 0.1, "{filter:?}");
+    }
+}
+
+/// NaN in each input for 2 s changes no other state than time, and the filter goes on.
+#[test]
+fn recovers_from_readings_that_are_no_numbers() {
+    let mut before = filter();
+    let bias = vec3(0.02, -0.01, 0.03);
+    hold(&mut before, bias, LEVEL, Some(FIELD), 0.005, 2000);
+    let odd = vec3(0.1, f32::NAN, 0.1);
+    for (gyro, accel, mag, dt_s) in [
+        (odd, LEVEL, FIELD, 0.005),
+        (bias, odd, FIELD, 0.005),
+        (bias, LEVEL, odd, 0.005),
+        (bias, LEVEL, FIELD, f32::NAN),
+        (odd, odd, odd, f32::NAN),
+    ] {
+        let mut filter = before;
+        hold(&mut filter, gyro, accel, Some(mag), dt_s, 400);
+        assert!(filter.down().z > 0.999_99 && filter.heading().abs() < 1e-2, "{filter:?}");
+        assert!((filter.gyro_bias() - bias).norm() < 1e-3, "{filter:?}");
+        // During the failure the vehicle has turned by 10° about x.
+        let (sin, cos) = 0.174_533_f32.sin_cos();
+        let (accel, mag) = (vec3(0.0, sin, cos) * -9.80665, vec3(25.0, 41.0 * sin, 41.0 * cos));
+        hold(&mut filter, bias, accel, Some(mag), 0.005, 12_000);
+        assert!((filter.down() - vec3(0.0, sin, cos)).norm() < 0.01, "{filter:?}");
+        assert!(filter.heading().abs() < 0.02, "{filter:?}");
+    }
 }
